@@ -12,7 +12,7 @@ from numpy.random import default_rng
 from examples.inclusion import Mixed
 from tests.support import in_plane_and_space, near, parametrize, refused, sup
 from tests.support.bodies import random_breaking
-from tests.support.clouds import larger, plain
+from tests.support.clouds import plain
 from tests.support.problems import OTHER, assert_balanced, everywhere, noise, rotation, slope
 from warp_peri import Points, runtime, save, simulate, solve
 from warp_peri.fracture import BondLaw, BrittleMaterial, Cracked, SofteningMaterial, box_nodes
@@ -77,10 +77,9 @@ def test_forces_balance_and_are_the_derivative_of_the_energy(solid, share, corre
 
 
 @every_solid
-def test_a_solve_finds_the_truth_around_a_crack_in_any_units(solid, tmp_path):
-    d = solid.dimension
-    points, crack = points_of(d), np.array(CRACK[d])
-    problem = Cracked(points, u=noise(points), cracks=crack)
+def test_a_solve_finds_the_truth_around_a_crack(solid, tmp_path):
+    points = points_of(solid.dimension)
+    problem = Cracked(points, u=noise(points), cracks=CRACK[solid.dimension])
     op = solve(solid, problem).operator
     u = 1e-3 * noise(points, 2)[1]
     b = op.on_all(op(u))
@@ -91,13 +90,6 @@ def test_a_solve_finds_the_truth_around_a_crack_in_any_units(solid, tmp_path):
     if isinstance(solid, Mixed):
         with refused("expected"):
             save(tmp_path / "m.json", solid)
-        return
-    length, stress = factors(solid.units, OTHER)
-    there = larger(points, length, units=OTHER)
-    load = Cracked(there, b * stress / length, length * u, length * crack)
-    again = solve(solid.in_units(OTHER), load)
-    near(again.u, length * solution.u, 1e-9)
-    near(again.energy(), solution.energy() * stress * length**d, 1e-9)
 
 
 @in_plane_and_space

@@ -7,13 +7,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from torch.autograd import grad
+from numpy.linalg import norm
 
 import warp_peri as wp
 from tests.support import approx, filterwarnings, materials, near, parametrize, sup
-from tests.support.fields import field, solved_samples, uneven
+from tests.support.fields import answers, field, solved_samples, uneven
 from tests.support.materials import KINKED, LAWS, OPERATORS, SPREAD, H, operator, placed
-from tests.support.problems import OTHER, assert_balanced, noise, on_interior, rotation
+from tests.support.problems import OTHER, assert_balanced, noise, normal, on_interior, rotation
 from tests.support.sheets import SPACING
 from tests.support.told import all_refused, refused
 from warp_peri import runtime, testing
@@ -44,9 +44,12 @@ def test_an_operator_offers_the_contract_and_a_field_is_one_of_several(name):
 
 @filterwarnings("ignore:spacing", "ignore:outside")
 @parametrize("name", OPERATORS)
-def test_fields_have_any_axes_before_their_own(name):
+def test_fields_have_any_axes_before_their_own_and_products_are_of_one_matrix(name):
     op = operator(name)
     u, own = field(op, 2, 3), -len(op.shape)
+    v, w = field(op, 2, 3, seed=5), normal(op(u).shape, 2)
+    rate, back = op.jvp(u, v), op.vjp(u, w)
+    near((rate * w).sum(), (v * back).sum(), 1e-12, norm(rate) * norm(w))
     inner = lambda u: np.compress(op.points.interior, u, axis=own)
     reads = [op, op.energy, lambda u: op.jvp(u, u), lambda u: op.vjp(u, inner(u))]
     reads += [op.straight] if hasattr(op, "straight") else []
@@ -158,16 +161,6 @@ def test_checks_of_a_material_see_what_is_wrong():
         testing.check_file(law, points, u, read=lambda path: other)
     with pytest.raises(AssertionError):
         testing.check_units(SimpleNamespace(on=law.on, in_units=other.in_units), points, u)
-
-
-def answers(op, u, v):
-    """What an operator gives of fields, and gradients to its numbers."""
-    found = [op(u), op.jvp(u, v), op.stress(u), op.energy(u)]
-    if known := getattr(op, "learnable", {}):
-        numbers = {n: torch.tensor(one).double() for n, one in known.items()}
-        leaves = [one.requires_grad_() for one in numbers.values()]
-        found += grad((op.force_with_parameters(torch.from_numpy(u), numbers) ** 2).sum(), leaves)
-    return found
 
 
 @parametrize("name", [*LAWS, *materials.FLOWS, "cut"])

@@ -15,7 +15,7 @@ from tests.support.clouds import larger
 from tests.support.fields import field, solved_samples, uneven
 from tests.support.materials import LAWS, SPREAD, operator, placed, saint_venant
 from tests.support.plates import plate
-from tests.support.problems import kernel, lattice, loaded, on_interior
+from tests.support.problems import kernel, lattice, loaded, noise, on_interior
 from tests.support.sheets import waves
 from tests.support.solving import solve
 from warp_peri.fracture import Cracked
@@ -186,13 +186,13 @@ def test_a_coupled_solid_and_its_gradient(scale):
 
 @in_plane_and_space
 def test_a_crack_at_rest(d, scale):
-    points = points_of(d)
-    u = 0.01 * points.x * np.arange(1, d + 1)
-    crack = [np.array(face) for face in CRACK[d]]
-    for name in ("brittle", "soft"):
+    points, crack = points_of(d), np.array(CRACK[d])
+    b, u = 1e-3 * noise(points), 0.01 * points.x * np.arange(1, d + 1)
+    for name in ("brittle", "brittle, by stretch", "soft"):
         solid = SOLIDS[name](d)
-        other, length, _ = resized(solid, scale)
-        first = wp.solve(solid, Cracked(points, u=u, cracks=crack))
-        cracks = [face * length for face in crack]
-        found = wp.solve(other, Cracked(larger(points, length), u=length * u, cracks=cracks))
-        near(found.u, length * first.u, 1e-7)
+        other, length, stress = resized(solid, scale)
+        first = wp.solve(solid, Cracked(points, b, u, crack))
+        there = Cracked(larger(points, length), b * stress / length, length * u, length * crack)
+        found = wp.solve(other, there)
+        near(found.u, length * first.u, 1e-9)
+        near(found.energy(), first.energy() * stress * length**d, 1e-9)

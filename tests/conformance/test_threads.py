@@ -10,7 +10,7 @@ from torch.autograd import grad
 import warp_peri as wp
 from tests.support import filterwarnings, parametrize, warned
 from tests.support.clouds import plain
-from tests.support.fields import field
+from tests.support.fields import answers, field
 from tests.support.materials import LAWS, OPERATORS, operator, placed
 from tests.support.problems import lattice
 from warp_peri.errors import heard, quietly, warn
@@ -41,20 +41,7 @@ def assert_as_alone(work):
 @parametrize("name", [*OPERATORS, "LPS, fields"])
 def test_a_force_and_its_derivatives(name):
     op = operator(name) if name in OPERATORS else placed(name)[0]
-    learnable = getattr(op, "learnable", {})
-
-    def work(number):
-        u, v = field(op, seed=number), field(op, seed=number + USERS)
-        at = torch.from_numpy(u).requires_grad_()
-        op(at).square().sum().backward()
-        found = [op(u), op.jvp(u, v), at.grad.numpy()]
-        numbers = [torch.tensor(np.array(v, float)).requires_grad_() for v in learnable.values()]
-        if numbers:
-            force = op.force_with_parameters(at.detach()[None], dict(zip(learnable, numbers)))
-            found += [one.numpy() for one in grad(force.square().sum(), numbers)]
-        return found
-
-    assert_as_alone(work)
+    assert_as_alone(lambda n: answers(op, field(op, 1, seed=n), field(op, 1, seed=n + USERS)))
 
 
 @parametrize("name", LAWS)

@@ -26,8 +26,8 @@ SOFT = springs(1.0, 1.0, -3.9, -3.9)
 """Positive at long waves alone, not far beyond the ball."""
 
 
-def waves(d, count=4000):
-    phase = anywhere(count, 0, d)
+def waves(d):
+    phase = anywhere(4000, 0, d)
     phase[::2] *= 1e-2
     return phase
 

@@ -96,7 +96,7 @@ def test_force_and_energy_are_those_of_all_bonds(d, kind, monkeypatch):
 
 def test_a_turned_lattice_in_space_has_the_turned_gradient_stress_and_force():
     law, points, turn = learned(3), body(3, "ball"), checked_orientation(25.0, 3)
-    stated = Points(points.x @ turn.T, points.interior, points.spacing, axis=turn)
+    stated = replace(points, x=points.x @ turn.T, axis=turn)
     operator, F = law.on(stated), normal((3, 3), 3)
     stress = turn @ np.einsum("ijkl,kl->ij", law.tensor(), (F + F.T) / 2) @ turn.T
     u = stated.x @ (turn @ F @ turn.T).T + [1.0, 2.0, 3.0]
@@ -108,7 +108,7 @@ def test_a_turned_lattice_in_space_has_the_turned_gradient_stress_and_force():
 
 def test_how_a_crystal_lies_is_stated_or_its_assumption_said_once():
     law, points, turn = learned(3), body(3, "cube"), checked_orientation(20.0, 3)
-    turned = Points(points.x @ turn.T, points.interior, points.spacing)
+    turned = replace(points, x=points.x @ turn.T)
     with warned("how the crystal lies"):
         law.on(turned)
     law.on(turned)  # once for these points

@@ -20,7 +20,6 @@ from warp_peri.export import write_vtk
 from warp_peri.files.atomic import whole_file, write_json, write_text
 from warp_peri.materials.lps_operator import node_fields
 
-HORIZON = 2.5
 symmetric = lambda six: six[:, [[0, 3, 5], [3, 1, 4], [5, 4, 2]]]
 """VTK's order of a symmetric tensor: XX, YY, ZZ, XY, YZ, XZ."""
 
@@ -79,14 +78,11 @@ def test_files_without_units_say_that_they_are_taken_for_granted(tmp_path):
         load(path)
 
 
-@pytest.fixture
-def points():
-    return manufactured(kernel("positive", HORIZON), lattice(4, HORIZON), 2)
-
-
-def test_fields_for_paraview(points, tmp_path, monkeypatch):
+def test_fields_for_paraview(tmp_path, monkeypatch):
     """Into one folder as many as before are replaced; fewer, and others' files, are refused."""
-    u, model = 1.01 * points.u, kernel("positive", HORIZON)
+    model = kernel("positive", 2.5)
+    points = manufactured(model, lattice(4, 2.5), 2)
+    u = 1.01 * points.u
     write_vtk(tmp_path, model, points, points.u)
     paths = write_vtk(tmp_path, model, points, u)
     assert [path.name for path in paths] == ["sample_0000.vtu", "sample_0001.vtu"]

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from tests.support import approx, assert_refused, clouds, near, parametrize, refused, sup, warned
 from tests.support.clouds import cloud, larger, periodic_cloud, plain
-from tests.support.problems import ROUNDING, fitted_order, kernel, lattice, noise, normal
+from tests.support.problems import ROUNDING, cut, fitted_order, kernel, lattice, noise, normal
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, solid
 from warp_peri import Points, certify
 from warp_peri.influence import InfluenceFunction, gaussian, table
@@ -20,6 +20,7 @@ from warp_peri.points.families import bond_classes
 made = lambda function, **parameters: lambda: InfluenceFunction(function, parameters)(LENGTHS)
 bounded = lambda bounds: lambda: InfluenceFunction(gaussian, {"width": 2.0}, bounds)
 numbers = lambda **change: lambda: plain(HORIZON, **change)
+jagged = lambda r: 1.0 + (np.round(r * 1e3) % 2)
 tabled = lambda *r: lambda: table(r, [1.0, 0.5]).coefficients(LENGTHS, HORIZON)
 
 
@@ -79,11 +80,6 @@ def vanishing():
     return ShapeKernel([classes], InfluenceFunction(lambda r: np.interp(r, LENGTHS, K)))
 
 
-def jagged():
-    function = InfluenceFunction(lambda r: 1.0 + (np.round(r * 1e3) % 2))
-    return function.model(lam=0.0, mu=1.0, horizon=20.0, spacings=[5.0, 2.5, 2.0, 1.0])
-
-
 def test_what_makes_no_sense_is_refused_in_words():
     assert_refused({
         "expected μ > 0 and λ . μ > 0, got -0.8, 0.8": numbers(lam=-0.8),
@@ -98,7 +94,8 @@ def test_what_makes_no_sense_is_refused_in_words():
         "are not within": bounded({"width": (3, 4)}),
         r"that of r: expected shape \[6\], got \[\]": made(lambda r: r[0]),
         "K is zero at": lambda: InfluenceFunction(lambda r: 0 * r).coefficients(LENGTHS, 3.0),
-        "no polynomial of degree 80 takes its values": jagged,
+        "no polynomial of degree 80 takes its values":
+            lambda: solid(InfluenceFunction(jagged), 5.0, 2.5, 2.0, 1.0, horizon=20.0),
         "weighted volume": vanishing,
         "of one shape": lambda: table([0, 1], [1.0]),
         "rising": lambda: table([1, 0], [1.0, 1.0]),
@@ -144,7 +141,6 @@ def test_stress_is_that_of_nearest_images_and_of_complete_families():
     here, there = (node_fields(model, one, u) for one in (points, moved))
     for part, expected in vars(here).items():
         assert_allclose(vars(there)[part], expected, rtol=0, atol=1e-9, err_msg=part)
-    points = lattice(4, HORIZON)
-    body = replace(points, outside=~points.interior & (points.x[:, 0] > 5))
+    body = lattice(4, HORIZON)
     with refused("outside: expected none"):
-        node_fields(model, body, points.x)
+        node_fields(model, cut(body, body.x[:, 0] > 5), body.x)

@@ -26,10 +26,9 @@ BODIES = {
     "cloud": (body(cloud(6, HORIZON)), kernel("sign-changing", HORIZON)),
     "space": (body(clouds.cube(3, 2.0)), clouds.solid(2.0, alpha=1.2, D=[1.0, -0.3, 0.6])),
 }
-every_body = parametrize(("points", "model"), BODIES.values(), ids=BODIES)
 
 
-@every_body
+@parametrize(("points", "model"), BODIES.values(), ids=BODIES)
 def test_dilatation_of_an_affine_field_is_exact_and_matrices_are_the_operator(points, model):
     d, parts = points.dimension, LPSOperator(model, points).matrices
     G = normal((d, d), 6)

@@ -41,16 +41,13 @@ SOLIDS = {
 """Energy, parameters, dimension, and the first Piola stress of a stretch 1 + h along x alone."""
 
 
-def stretched(points, stress, load=0.02):
-    """u along x alone in equilibrium with a uniform load: P(u′) = P₀ + load x, and the load."""
-
-    def slope(x):
-        return brentq(lambda h: stress(h) - (0.1 + load * x), -0.5, 0.9)
-
+def stretched(points, stress):
+    """u along x alone in equilibrium with a uniform load: P(u′) = P₀ + 0.02 x, and the load."""
+    slope = lambda x: brentq(lambda h: stress(h) - (0.1 + 0.02 * x), -0.5, 0.9)
     at = np.unique(points.x[:, 0])
     value = dict(zip(at, (quad(slope, 0, x, epsabs=1e-13)[0] for x in at)))
     u, b = np.zeros_like(points.x), np.zeros_like(points.x)
-    u[:, 0], b[:, 0] = [value[x] for x in points.x[:, 0]], -load
+    u[:, 0], b[:, 0] = [value[x] for x in points.x[:, 0]], -0.02
     return u, b
 
 
@@ -140,6 +137,10 @@ def test_what_cannot_be_used_is_refused_and_files_ask_for_the_energy(tmp_path):
         "energy: expected no stress at rest": lambda: pulled.on(points),
         "got 1.00e.00 of a stiffness of 0.0": lambda: of(lambda E: E[..., 0, 0]).on(points),
         "got 0.0.* of a stiffness of 0.0": lambda: of(lambda E: (E**4).sum((-1, -2))).on(points),
+        "^energy: expected a function of strains in torch": (
+            lambda: of(lambda E: E.detach().numpy()[..., 0, 0]).on(points),
+            lambda: of(torch.Tensor.trace).on(points),
+        ),
         f"{one} NoneType": lambda: of(lambda E: None).on(points),
         f"{one} float": lambda: of(lambda E: 2.0).on(points),
         f"{one} .*2": lambda: of(lambda E: E).on(points),

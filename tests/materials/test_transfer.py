@@ -1,6 +1,5 @@
 """A material on another lattice: its loss, what is claimed, what takes it; fields on one."""
 
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -125,18 +124,11 @@ def test_a_process_fits_each_lattice_once_of_the_same_class_and_values(monkeypat
             on_lattice(other, **ASKED)
 
 
-@pytest.fixture
-def points():
+def test_everything_takes_points_of_another_spacing():
     """Waves in equilibrium with the model at home, on nodes 0.8 apart."""
-    here = lattice(6, 2.4, spacing=0.8)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return manufactured(on_lattice(HOME, spacing=0.8), here, 2, wave_number=0.5)
-
-
-def test_everything_takes_points_of_another_spacing(points):
     model = replace(HOME)
     there = on_lattice(model, spacing=0.8)
+    points = manufactured(there, lattice(6, 2.4, spacing=0.8), 2, wave_number=0.5)
     with warned("transferred from 1 Å to 0.8 Å"):
         u = solve(model, points, points.b, points.u)
     # said once: a warning is an error from here on
@@ -222,10 +214,7 @@ def test_fields_carried_to_a_lattice():
         "spacing: expected at most": lambda: onto_lattice(whole, spacing=1e-6),
         "spacing: expected one of nodes in": lambda: onto_lattice(whole, spacing=1000.0),
     })  # fmt: skip
-
-
-def test_what_cannot_be_interpolated():
-    few, line = CLOUD.x[:30], np.c_[np.arange(99.0), np.zeros(99)]
+    line = np.c_[np.arange(99.0), np.zeros(99)]
     each_refused(lambda x: onto_lattice(Samples(everywhere(x, 0.0), 0 * x[None]), spacing=1.0), {
-        "at least 80 nodes to inter.*, got 30": few, "on a line or a conic": line,
+        "at least 80 nodes to inter.*, got 30": points.x[:30], "on a line or a conic": line,
     })  # fmt: skip

@@ -85,8 +85,7 @@ def proofs():
     seen, looked = [], proof._symbol_slopes
     proof._symbol_slopes = lambda *given: seen.append(len(given[-1])) or looked(*given)
     try:
-        with together():
-            return wp.certify(solid(2), spacing=H).symbol_bound, sum(seen)
+        return proved(solid(2)).symbol_bound, sum(seen)
     finally:
         proof._symbol_slopes = looked
 
@@ -140,12 +139,12 @@ def refusals(sheet, ball, files):
     law, laid, rank = solid(2), partial(lattice, SHAPE[2], H), world().rank
     full, brittle = laid(lambda x: x[:, 0] >= 0), BrittleMaterial(law, 2500.0, toughness=1.0)
     breaks = partial(wp.simulate, brittle, step=1e-3, steps=1)
-    everywhere, flat = H * grid_places(SHAPE[2]), wp.Dirichlet(sheet, *fields(sheet.x))
+    flat, every = wp.Dirichlet(sheet, *fields(sheet.x)), whole(2).points
     mixed = np.zeros(len(sheet.x), (bool, int)[rank])
     altered = replace(sheet, spacing=2 * H) if rank else sheet
     hidden = np.ma.masked_array(0 * sheet.x, sheet.x > 0)
     solution, far = wp.solve(law, flat, transfer=True), plain(1.25, 0.9, certified_on=(1.0,))
-    cut = wp.Samples(wp.Points(everywhere, inside(everywhere), H), everywhere[None])
+    cut = wp.Samples(every, every.x[None])
     return [told_by(wrong) for wrong in (
         lambda: solid(3).on(ball)(0 * ball.x),
         lambda: wp.solve(law, wp.Dirichlet(full, *fields(full.x))),
@@ -154,7 +153,7 @@ def refusals(sheet, ball, files):
         lambda: wp.simulate(DiffusionMaterial(1.0, 1.0), flat),  # before its options
         lambda: wp.solve(law, flat, parameters={"mu": 0.4}),
         lambda: wp.solve(law, flat, comm=1),
-        lambda: partition(wp.Points(everywhere, inside(everywhere), 0.0)),
+        lambda: partition(replace(every, spacing=0.0)),
         lambda: breaks(wp.Cracked(sheet, pressure=np.eye(2))),
         lambda: lattice((8, 52), H, inside),
         lambda: breaks(wp.Cracked(sheet), no_fail=mixed),
@@ -192,12 +191,12 @@ def at_the_door(sheet, files):
     problem, law = wp.Dirichlet(sheet, b, u), replace(solid(2), mu=0.4 + 1e-9 * one)
     other, how = wp.Dirichlet(sheet, None if one else b, u), SWING | {"steps": 4}
     far = lattice(SHAPE[2], H, inside, origin=(0.0, 9.0)), sheet
-    brittle, still = BrittleMaterial(solid(2), 2500.0, toughness=1.0), {"step": 1e-3, "steps": 1}
+    brittle = BrittleMaterial(solid(2), 2500.0, toughness=1.0)
     return {name: told_by(case) for name, case in {
         "points": lambda: wp.solve(solid(2), wp.Dirichlet(far[one], b, u)),
         "proof": lambda: proved(law),
         "ramp": lambda: wp.simulate(
-            brittle, wp.Cracked(sheet, b), ramp=lambda time: 1.0 + world().rank, **still
+            brittle, wp.Cracked(sheet, b), ramp=lambda _: 1.0 + one, step=1e-3, steps=1
         ),
         "material": lambda: wp.solve(law, problem),
         "problem": lambda: wp.simulate(solid(2), other, **how),

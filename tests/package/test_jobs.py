@@ -28,16 +28,13 @@ with locked(sys.argv[1]), whole_file(sys.argv[2]) as part:
 """
 
 
-def started(code, *words):
-    how = {"cwd": ROOT, "text": True, "stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    return subprocess.Popen([sys.executable, "-c", code, *map(str, words)], **how)
-
-
 @parametrize("name", ["m.json", "a[b]*.h5"])
 def test_a_second_job_is_refused_and_a_killed_one_holds_nothing(name, tmp_path):
     """And no file is removed but those of the process itself."""
     target, out = tmp_path / name, tmp_path / "out"
-    jobs = [started(HOLD, tmp_path / f"out{n}", target) for n in range(2)]
+    how = {"cwd": ROOT, "text": True, "stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    calls = ([sys.executable, "-c", HOLD, tmp_path / f"out{n}", target] for n in range(2))
+    jobs = [subprocess.Popen(call, **how) for call in calls]
     parts = [Path(job.stdout.readline().strip()) for job in jobs]
     jobs[0].kill()
     jobs[0].communicate()

@@ -2,6 +2,7 @@
 
 import numpy as np
 import torch
+from torch.autograd import grad
 
 from tests.support.problems import loaded, normal
 from tests.support.sheets import waves
@@ -13,6 +14,19 @@ tensors = lambda op, *lead, count=2: [tensor(op, *lead, seed=n) for n in range(c
 """Several of them, no two alike."""
 double = lambda value: torch.tensor(value, dtype=torch.float64)
 """A number or an array in double precision."""
+
+
+def answers(op, u, v):
+    """What an operator gives of fields, and gradients to them and to its numbers."""
+    at = torch.from_numpy(u).requires_grad_()
+    found = [op(u), op.jvp(u, v), op.energy(u), *grad(op(at).square().sum(), at)]
+    if op.points.outside is None:
+        found.append(op.stress(u))
+    if known := getattr(op, "learnable", {}):
+        numbers = {n: double(np.array(one, float)).requires_grad_() for n, one in known.items()}
+        force = op.force_with_parameters(at.detach(), numbers)
+        found += grad(force.square().sum(), [*numbers.values()])
+    return found
 
 
 def uneven(points, samples=None):

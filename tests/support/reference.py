@@ -36,7 +36,7 @@ def quadrature(xi, horizon):
     return np.linalg.pinv(rows, rcond=1e-10) @ exact * horizon ** xi.shape[1]
 
 
-def family(x, i, horizon, box=None):
+def family(x, i, horizon, box):
     """Neighbours of node i and the bonds to them, through the nearest periodic image."""
     bonds = x - x[i]
     if box is not None:
