@@ -264,15 +264,13 @@ def test_what_would_lose_a_gradient_says_so():
     hidden = masked(u.numpy())
     rest = lambda u, **how: wp.solve(op, on(u), **how).u
     of_mu = lambda mu: rest(u, parameters={"mu": mu})
-    moved = lambda u: wp.simulate(op, on(u), **waves).u
+    moved = lambda u, **how: wp.simulate(op, on(u), **waves, **how).u
     slope, plain = (lambda f, x: torch.func.grad(lambda x: f(x).sum())(x)), r"torch\.func: expected"
     assert_refused({
         plain: (
             lambda: slope(module, u), lambda: slope(network, tensor(network)),
             lambda: slope(moved, u), lambda: slope(of_mu, number),
-            lambda: slope(
-                lambda mu: wp.simulate(op, on(u), parameters={"mu": mu}, **waves).u, number
-            ),
+            lambda: slope(lambda mu: moved(u, parameters={"mu": mu}), number),
             lambda: slope(
                 lambda phi: wp.simulate(heat, wp.Dirichlet(heat.points, None, phi), **steps).u,
                 phi,

@@ -156,16 +156,16 @@ def test_what_breaks_its_symmetry_by_little_is_proven_where_it_is_worst():
 
 def test_files_claim_what_is_proven_and_nothing_else(tmp_path):
     """Nothing of a law whose smallest sampled ratio is below zero by rounding."""
-    law = random_law(2)
+    law, path = random_law(2), tmp_path / "law.json"
     proof = StencilCertificate(proven=0.0, sampled=-1e-13, long_waves=0.0, cells=0, seconds=0.0)
-    wp.save(tmp_path / "law.json", replace(law, certificate=proof))
-    assert wp.load(tmp_path / "law.json").certificate.statement == "Nothing is proven."
+    wp.save(path, replace(law, certificate=proof))
+    assert wp.load(path).certificate.statement == "Nothing is proven."
     law = learned(2)
     for times in (0.995, 1.7, 2 * law.certificate.proven / law.certificate.sampled):
         forged = replace(law.certificate, sampled=times * law.certificate.sampled)
-        wp.save(tmp_path / "law.json", replace(law, certificate=forged))
+        wp.save(path, replace(law, certificate=forged))
         with refused("is not proven of these tensors"):
-            wp.load(tmp_path / "law.json")
+            wp.load(path)
 
 
 @parametrize("reach", [1, 2, 4])

@@ -29,6 +29,7 @@ H = 0.5
 SHAPE = {2: (52, 52), 3: (17, 17, 17)}
 TOLERANCE = {2: 1e-10, 3: 1e-8}
 SWING = {"density": 2000.0, "step": 1e-3, "every": 4}
+held = lambda points: wp.Dirichlet(points, *fields(points.x))
 digest = lambda values: hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()
 
 
@@ -77,7 +78,7 @@ def swings(dimension):
 def whole(dimension):
     """The problem of one process."""
     x = H * grid_places(SHAPE[dimension])
-    return wp.Dirichlet(wp.Points(x, inside(x), H), *fields(x))
+    return held(wp.Points(x, inside(x), H))
 
 
 def proofs():
@@ -100,11 +101,10 @@ def told_by(wrong):
 
 def waves(points, folder):
     """A solid that swings: 15 steps, or 25 of which others have taken some."""
-    b, u = fields(points.x)
-    d = points.dimension
-    problem, last = wp.Dirichlet(points, b, u), 15 if points.comm.size == 2 else 25
+    problem, d = held(points), points.dimension
     motion = wp.simulate(
-        swings(d), problem, **SWING, v=u[:, ::-1], steps=last,
+        swings(d), problem, **SWING, v=problem.u[:, ::-1],
+        steps=15 if points.comm.size == 2 else 25,
         checkpoint=folder / f"waves_{d}.h5", checkpoint_every=2, series=folder / f"waves_{d}",
     )  # fmt: skip
     end = kept(folder, f"waves_{d}", points, np.concatenate([motion.u, motion.v], axis=1))
@@ -119,9 +119,7 @@ def rest(folder):
     found["sums"] = total(comm, uneven()[comm.rank :: comm.size]).tolist()
     for d, shape in SHAPE.items():
         points = lattice(shape, H, inside)
-        b, u = fields(points.x)
-        problem, solver = wp.Dirichlet(points, b, u), wp.CG(tolerance=TOLERANCE[d])
-        solution = wp.solve(solid(d), problem, solver=solver)
+        solution = wp.solve(solid(d), held(points), solver=wp.CG(tolerance=TOLERANCE[d]))
         name = f"{d}-D"
         found[name] = {"u": kept(folder, name, points, solution.u),
                        "iterations": solution.iterations[0], "residual": solution.residual,
@@ -139,7 +137,7 @@ def refusals(sheet, ball, files):
     law, laid, rank = solid(2), partial(lattice, SHAPE[2], H), world().rank
     full, brittle = laid(lambda x: x[:, 0] >= 0), BrittleMaterial(law, 2500.0, toughness=1.0)
     breaks = partial(wp.simulate, brittle, step=1e-3, steps=1)
-    flat, every = wp.Dirichlet(sheet, *fields(sheet.x)), whole(2).points
+    flat, every = held(sheet), whole(2).points
     mixed = np.zeros(len(sheet.x), (bool, int)[rank])
     altered = replace(sheet, spacing=2 * H) if rank else sheet
     hidden = np.ma.masked_array(0 * sheet.x, sheet.x > 0)
@@ -147,7 +145,7 @@ def refusals(sheet, ball, files):
     cut = wp.Samples(every, every.x[None])
     return [told_by(wrong) for wrong in (
         lambda: solid(3).on(ball)(0 * ball.x),
-        lambda: wp.solve(law, wp.Dirichlet(full, *fields(full.x))),
+        lambda: wp.solve(law, held(full)),
         lambda: wp.simulate(law, flat, **SWING | {"step": 1.0}, steps=1),
         lambda: laid(lambda x: x[:, 0] < 0),
         lambda: wp.simulate(DiffusionMaterial(1.0, 1.0), flat),  # before its options

@@ -1,13 +1,14 @@
 """Code and commands of the pages run as they are printed, and print what stands below them."""
 
 import ast
-import importlib.util
 import itertools
 import re
+import runpy
 import shlex
 import shutil
 from glob import glob
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -16,9 +17,7 @@ from tests.support import ROOT, filterwarnings, parametrize, shared, slow
 from tests.support.problems import kernel, lattice, manufactured
 from warp_peri.cli.main import main
 
-spec = importlib.util.spec_from_file_location("check", ROOT / "docs" / "check.py")
-check = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(check)
+check = SimpleNamespace(**runpy.run_path(str(ROOT / "docs" / "check.py")))
 TEXT = {name.removesuffix(".md"): text for name, text in check.pages().items()}
 """Each page by its path below docs/, without suffix, as "how-to/cracks"."""
 TEXT["README"] = (ROOT / "README.md").read_text("utf-8")

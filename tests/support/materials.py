@@ -27,6 +27,8 @@ from warp_peri.points.families import bond_classes
 H = np.array([[0.02, 0.03], [-0.01, -0.015]])
 """A displacement gradient."""
 CRACK = [[(-2.0, 0.1), (1.0, 0.1)]]
+DEEP = clouds.solid(2.0, 0.5, 0.8, D=[1.0, 0.6, 1.4], certified_on=(1.0,))
+"""A linear solid in space."""
 third_order = lambda form: lambda: replace(solid(form), proven={"strain": 0.03}, provenance={})
 network = lambda: NeuralOperator(3.0, (6, 8), (10, 12), proportional=True).double()
 """Springs of either sign, as untrained networks are; few numbers, so few kinks."""
@@ -193,18 +195,13 @@ def cut():
     return CutSolid(model, lattice_body(points.x, 1.0, 3.0), held, cracks=CRACK)
 
 
-def in_space(of=lambda model: model):
-    model = replace(clouds.solid(2.0, 0.5, 0.8, D=[1.0, 0.6, 1.4]), certified_on=(1.0,))
-    return of(model).on(clouds.cube(2, 2.0))
-
-
 OPERATORS = {name: lambda name=name: placed(name)[0] for name in LAWS} | {
     "crystal, periodic": lambda: learned(2).on(LAWS["crystal"].sheet()),
     "neural operator, frozen": frozen,
     "scattered, own weights": scattered,
     "LPS, broken bonds": torn,
-    "LPS in space": in_space,
-    "crystal in space": lambda: in_space(lambda model: crystal_from_lps(model, 1.0)),
+    "LPS in space": lambda: DEEP.on(clouds.cube(2, 2.0)),
+    "crystal in space": lambda: crystal_from_lps(DEEP, 1.0).on(clouds.cube(2, 2.0)),
     "conductor": conductor,
     "coupled": coupled,
     "cut": cut,
