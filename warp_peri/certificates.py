@@ -26,8 +26,7 @@ def critical_time_step(
     """Compute the time step [ps] below which velocity Verlet is stable on a lattice (51, T21).
 
     2/ω with ω² = max Λmax D(k)/ρ, the maximum proven over the whole zone and at most 0.02 % too
-    large (T21). It holds on any set of nodes with displacement given out to 2δ, and on periodic
-    boxes.
+    large (T21). It holds on any nodes with displacement given out to 2δ, and on periodic boxes.
 
     Args:
         model: certified on some lattice, transferred to others: where D(k) is not positive

@@ -21,6 +21,8 @@ Rows: TypeAlias = list[tuple[str, str]]
 """Name and value of each line of a summary table."""
 Values: TypeAlias = dict[str, Any]
 """Values by name."""
+Arrays: TypeAlias = dict[str, np.ndarray]
+"""Arrays by name."""
 Shape: TypeAlias = tuple[int, ...]
 """Of an array or grid: whole numbers, one for each axis."""
 LAST_WORDS: list[Callable[[str, int], None]] = []

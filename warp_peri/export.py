@@ -10,7 +10,7 @@ from numpy.linalg import eigvalsh, norm, trace
 
 from warp_peri.core.elastic import symmetric_part
 from warp_peri.core.stencil import numbers_at
-from warp_peri.errors import InputError, StrPath
+from warp_peri.errors import Arrays, InputError, StrPath
 from warp_peri.files.atomic import meshio_of, write_vtu
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_operator import node_fields
@@ -88,7 +88,7 @@ def write_body(path: StrPath, body: BodySolution) -> dict[str, float]:
     }
 
 
-def _samples(model: Any, points: Samples, u: np.ndarray) -> list[dict[str, np.ndarray]]:
+def _samples(model: Any, points: Samples, u: np.ndarray) -> list[Arrays]:
     """Point data of each sample."""
     inside = _inside(model, points, u)
     return [
@@ -103,7 +103,7 @@ def _samples(model: Any, points: Samples, u: np.ndarray) -> list[dict[str, np.nd
     ]
 
 
-def _inside(model: Any, points: Samples, u: np.ndarray) -> dict[str, np.ndarray]:
+def _inside(model: Any, points: Samples, u: np.ndarray) -> Arrays:
     """Fields at interior nodes, [S, I, …]: of an LPS, transferred unless certified nowhere, all."""
     if isinstance(linear := getattr(model, "linear", None), LPSMaterial):
         if linear.certified_on and points.spacing > 0:

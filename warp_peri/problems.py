@@ -148,8 +148,7 @@ class Body:
 
     `solve` raises InputError for parts that the mesh does not have, or that are held apart where
     they meet, fields of other shapes or not finite, a body that is free to move, a hole narrower
-    than the overlap, another unit or dimension, and a material that is not linear or not positive
-    definite.
+    than the overlap, another unit or dimension, and a material not linear or not positive definite.
 
     >>> body = wp.Body(mesh, {"left": (0.0, 0.0)}, {"right": (0.005, 0.0)})
     >>> wp.solve(model, body).residual < 1e-8
@@ -192,8 +191,7 @@ def solve(material: Any, problem: Any, *, solver: Solver = None, **options: Any)
 
     Returns the solution, with its residual, what is proven of it, and what was warned of. Of
     tensors in a Dirichlet its u is differentiable, along the branch of equilibria that it lies on.
-    Raises InputError for what does not fit, naming what was expected, and for a gradient that is
-    asked for and not had.
+    Raises InputError for what does not fit, naming what was expected, and for gradients not had.
 
     >>> wp.solve(model, wp.Dirichlet(points, b[0], u[0])).residual < 1e-8
     True

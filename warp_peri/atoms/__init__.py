@@ -1,5 +1,4 @@
-"""Fields on nodes from atoms and frames, and models from crystals; names are imported on first
-use."""
+"""Fields on nodes from atoms and frames, and models from crystals; names come on first use."""
 
 from typing import TYPE_CHECKING
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from warp_peri.atoms.dic import ON_LATTICE, spacing_of, surrounded
-from warp_peri.errors import InputError, StrPath
+from warp_peri.errors import Arrays, InputError, StrPath
 from warp_peri.files.atomic import check_hdf5, check_regular
 from warp_peri.points.arguments import (
     EV_IN_TPA,
@@ -230,7 +230,7 @@ def read_mat(
     return Samples(points, u, b)
 
 
-def _variables(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
+def _variables(path: Path, names: Sequence[str]) -> Arrays:
     """Numeric arrays of a .mat file by name; HDF5 (version 7.3) has their axes reversed."""
     held = {}
     check_regular(path)
@@ -257,7 +257,7 @@ def _variables(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     return held
 
 
-def _components_last(path: Path, held: dict[str, np.ndarray], name: str, nodes: int) -> np.ndarray:
+def _components_last(path: Path, held: Arrays, name: str, nodes: int) -> np.ndarray:
     """A field on the nodes with its components last, shape [S, N, 2]."""
     field = held[name].astype(float)
     last = field.shape[-1] == 2

@@ -28,7 +28,7 @@ from warp_peri.core.elastic import (
     stress_brackets,
     voigt,
 )
-from warp_peri.errors import InputError, Rows, Shown, Values, warn
+from warp_peri.errors import Arrays, InputError, Rows, Shown, Values, warn
 from warp_peri.fitting.regression import relative
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import fit_phonons, symmetry_of
@@ -118,7 +118,7 @@ class CrystalFit(Shown):
         return 2 * np.pi / np.linspace(0.05, np.pi, SIZES)
 
     @cached_property
-    def wave_errors(self) -> dict[str, np.ndarray]:
+    def wave_errors(self) -> Arrays:
         """Relative errors, against the atoms, of waves in 60 directions, by material and rival."""
         size = 2 * np.pi / (self.wave_lengths * self.law.spacing)
         k = size[:, None, None] * directions(DIRECTIONS, self.atoms.dimension)
@@ -174,8 +174,7 @@ class CrystalFit(Shown):
         return [*self.said.items(), *shown]
 
     def plot(self) -> Figure:
-        """Draw acoustic branches, Young's modulus by direction, and wave errors beside the
-        rival's."""
+        """Draw acoustic branches, Young's modulus by direction, wave errors beside the rival's."""
         figure = Figure(figsize=(11, 3.6), layout="constrained")
         bands = figure.add_subplot(1, 3, 1)
         law, d = self.law, self.atoms.dimension
@@ -262,8 +261,7 @@ def fit_crystal(
     """Fit a material to a crystal's structure and its calculator.
 
     The structure is relaxed, checked (forces, stress, imaginary phonons) and reduced to its
-    smallest cell. The material is learned from force constants and compared under waves of all
-    lengths.
+    smallest cell. The material is learned from force constants and compared under all waves.
 
     Args:
         atoms: periodic in space, or in a plane with vacuum (8 Å) or without a period across.

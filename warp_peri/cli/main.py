@@ -125,7 +125,7 @@ def parser_of(name: str) -> Parser:
 
 def _taken(option: str, marks: list[str]) -> Values:
     """Arguments of argparse for an option, from the marks between its name and its help."""
-    how, names = dict[str, Any](), list[str]()
+    how, names = Values(), list[str]()
     for mark in marks:
         if mark == "!":
             how["required"] = True
@@ -188,7 +188,7 @@ def parse(words: Sequence[str]) -> Namespace:
     for of_files, some in groupby(line, lambda word: word[:1] == "@"):
         typed = [*some]
         parts += [(one[1:], words_of(one[1:])) for one in typed] if of_files else [("", typed)]
-    found, filed = dict[str, Any](), set[str]()
+    found, filed = Values(), set[str]()
     for file, part in parts:
         try:
             own = {n: v for n, v in vars(some_of.parse_args(part)).items() if v not in (None, [])}

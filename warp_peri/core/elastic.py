@@ -1,8 +1,7 @@
 """Crystals: point groups, symmetries shared with a lattice of nodes; elastic tensors and strain.
 
 Every group contains the inversion, C(−ξ) = C(ξ) (theory, T5). Elastic tensors are [d, d, d, d];
-Voigt's order is 11, 22, 33, 23, 13, 12, in the plane 11, 22, 12, with engineering shear strains
-(theory, T3–T6).
+Voigt's order is 11, 22, 33, 23, 13, 12, in the plane 11, 22, 12, with engineering shears (T3–T6).
 """
 
 from __future__ import annotations

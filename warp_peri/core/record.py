@@ -179,9 +179,8 @@ class Record(Shown, Held):
 
     @classmethod
     def from_dict(cls, content: Any, where: str = "") -> Self:
-        """Make the material from the contents of a file; `where` begins warnings. InputError for
-        another format or version, missing or unknown keys, wrong or changed values, failing
-        proofs."""
+        """Make the material from a file's contents; `where` begins warnings. InputError for another
+        format or version, missing or unknown keys, wrong or changed values, failing proofs."""
         if not isinstance(content, dict):
             raise InputError(f"expected a JSON object, got {type(content).__name__}")
         for key, expected in (("format", cls.FORMAT), ("version", cls.VERSION)):
@@ -265,8 +264,7 @@ class Record(Shown, Held):
         return replace(self, **moved | self.elsewhere(*by))  # type: ignore[type-var]
 
     def own_nodes(self, points: PointsLike) -> Points:
-        """Nodes of points, samples or a rank's piece; InputError for other units or dimensions than
-        these."""
+        """Nodes of points, samples or a rank's piece; InputError for other units or dimensions."""
         nodes = nodes_of(points)
         check_same(self.units, nodes.units)
         if nodes.dimension != self.dimension:

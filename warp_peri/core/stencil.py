@@ -8,10 +8,9 @@ a box of nodes with all that bonds reach, by rows or by FFT (T1, T15).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import scipy.fft
@@ -22,7 +21,7 @@ from numpy.linalg import eigh, eigvalsh, inv, norm, svd
 from warp_peri.core.elastic import directions, orbit_grid, symmetric_part
 from warp_peri.errors import InputError, Shape
 from warp_peri.kernels.micromodulus import rows
-from warp_peri.points.arguments import Pair
+from warp_peri.points.arguments import ArrayMap, Pair
 from warp_peri.points.families import HORIZON_TOLERANCE, nodes_in_period
 from warp_peri.points.points import Points, grid_places, grid_points
 from warp_peri.runtime import floats, get_num_threads, ints, launch_slices
@@ -33,8 +32,6 @@ LONG = 1e-3
 """Their |k| h."""
 LEAST_WAVE = 1e-4
 """|k| h, below which waves are not looked at: they answer as long ones do."""
-Ratio: TypeAlias = Callable[[np.ndarray], np.ndarray]
-"""Waves k h [K, d] to the smallest eigenvalue of D over the weight, [K]."""
 MOST_BONDS = 4000
 """Of a half family; a horizon beyond it is a slip of units."""
 SPARE = 60
@@ -140,17 +137,17 @@ def smallest_eigenvalue(matrices: np.ndarray) -> np.ndarray:
 
 
 def zoomed(
-    ratio: Ratio, k: np.ndarray, reach: float, *, side: int = 7, zooms: int = 8, finer: float = 3.0
+    of: ArrayMap, k: np.ndarray, reach: float, *, side: int = 7, zooms: int = 8, finer: float = 3
 ) -> Pair:
-    """Smallest ratio on `side` waves an axis about each wave k h [n, d], on grids ever finer by a
-    factor, [n], and where it is, [n, d]; waves below LEAST_WAVE do not count."""
+    """Smallest ratio `of` waves k h [K, d], by `side` an axis about each k [n, d], on grids ever
+    finer by a factor, and where it is, [n] and [n, d]; waves below LEAST_WAVE do not count."""
     patch = grid_points(np.linspace(-1, 1, side), k.shape[1])
     value = np.full(len(k), np.inf)
     for _ in range(zooms):
         near = k[:, None] + reach * patch
         seen = (near**2).sum(axis=2) > LEAST_WAVE**2
         found = np.full(seen.shape, np.inf)
-        found[seen] = ratio(near[seen])
+        found[seen] = of(near[seen])
         best = np.arange(len(k)), found.argmin(axis=1)
         k, value, reach = near[best], found[best], reach / finer
     return value, k
@@ -385,8 +382,7 @@ def complete(body: np.ndarray, steps: np.ndarray, r: int) -> np.ndarray:
 
 
 def block(stencil: Stencil, mask: np.ndarray, *, around: bool = False) -> sp.csc_array:
-    """Matrix of the operator between the nodes of a mask, shape [d n, d n]; `around`: of a
-    period."""
+    """Matrix of the operator between a mask's nodes, shape [d n, d n]; `around`: of a period."""
     d, here = stencil.dimension, np.argwhere(mask)
     number = numbers_at(mask.shape, mask)
     rows, columns = [np.arange(len(here))], [np.arange(len(here))]

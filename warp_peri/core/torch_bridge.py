@@ -229,8 +229,7 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any = None, parameters: Any =
 
     The operator offers `solve`, and `interior_tangent` or `inverse` where it is not symmetric; b
     and u are of all nodes, [N, d] or [S, N, d]. `parameters` are some of its `learnable` by name,
-    those of a network are learned without being named. Raises InputError as `solve`, where L′ is
-    singular.
+    those of a network are learned without being named. InputError as `solve`, where L′ is singular.
     """
     given = as_tensor("u", u)
     fields = [real("b", b), real("u", given)]
@@ -344,8 +343,7 @@ class TorchModule(torch.nn.Module):
         networks: of a neural operator, the material itself with its parameters.
 
     Other materials have no parameters and give the gradient in u alone. Parameters are float64;
-    with them the second derivative is refused. Raises InputError as `on`, and for a u that does not
-    fit.
+    with them the second derivative is refused. InputError as `on`, and for another u's shape.
 
     >>> tuple(wp.TorchModule(model, points)(torch.from_numpy(u)).shape)
     (12, 121, 2)

@@ -107,8 +107,7 @@ class BodySolution:
 
     def probe(self, x: ArrayLike) -> tuple[sp.csr_array, sp.csr_array]:
         """Matrices R [m, n] and B [m, N] with u(x) = R u_rim + B u_bulk at positions x [m, d]. The
-        rim's where it is, the bulk's elsewhere; InputError for no positions, or outside the
-        mesh."""
+        rim's where it is, the bulk's elsewhere; InputError outside the mesh, or for none."""
         x = checked("x", x, float, ("m", self.rim.d))
         cell = self.rim.mesh.holding(x)
         if (cell < 0).any():

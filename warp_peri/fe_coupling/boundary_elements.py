@@ -18,7 +18,7 @@ from scipy.sparse.linalg import LinearOperator, splu
 
 from warp_peri.core.elastic import voigt_to_tensor
 from warp_peri.core.stencil import numbers_at
-from warp_peri.errors import OF_POSITIONS, InputError, called, optional
+from warp_peri.errors import OF_POSITIONS, InputError, Values, called, optional
 from warp_peri.points.arguments import ArrayMap, Pair, check_function, check_mapping, checked
 from warp_peri.points.mesh import Mesh, pieces
 from warp_peri.solvers.systems import loose_pieces
@@ -298,7 +298,7 @@ def loads_on(
     Raises InputError for a part without faces in the mesh, or a body force that is no function."""
     there = sorted(name for name, faces in mesh.parts.items() if len(faces))
 
-    def fields(name: str, given: Any, *of: str) -> dict[str, Any]:
+    def fields(name: str, given: Any, *of: str) -> Values:
         check_mapping(name, given)
         for part in given:
             if part not in there:

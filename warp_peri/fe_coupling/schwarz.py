@@ -181,8 +181,7 @@ def bulk_lattice(
 
     Loads are resolved where waves as long as those of b, by its mean square slope, agree with the
     model at home to the tolerance of a transfer; the body where half of its area lies two horizons
-    inside and no hole is smaller than the overlap. Else the finest is taken; a warning tells of
-    loads.
+    inside and no hole is smaller than the overlap. Else the finest; a warning tells of loads.
     """
     home, unit = max(model.certified_on), symbols(model.units)[0]
     check_extent(mesh, home, model.units)

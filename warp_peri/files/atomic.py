@@ -14,7 +14,7 @@ import os
 import stat
 import tempfile
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from xml.parsers import expat
 import h5py
 import numpy as np
 
-from warp_peri.errors import InputError, StrPath, Values, optional
+from warp_peri.errors import Arrays, InputError, StrPath, Values, optional
 
 MOST = 2**33
 """Bytes of one archive that are read at most."""
@@ -37,7 +37,7 @@ BROKEN = zipfile.BadZipFile, EOFError, RuntimeError, KeyError, NotImplementedErr
 NO_PLACE = FileExistsError, FileNotFoundError, NotADirectoryError, IsADirectoryError
 
 
-def read_arrays(path: StrPath) -> dict[str, np.ndarray]:
+def read_arrays(path: StrPath) -> Arrays:
     """Read the arrays of an np.savez file by name. OSError when it cannot be read, ValueError for
     all else: compressed, truncated, other sizes than its headers claim, objects."""
     check_regular(path)
@@ -322,7 +322,7 @@ def write_vtu(
     path: StrPath,
     x: np.ndarray,
     cells: tuple[str, np.ndarray],
-    fields: Mapping[str, np.ndarray],
+    fields: Arrays,
     extra: str = "export",
 ) -> None:
     """Write nodes [N, d], cells [C, n] of one kind and named fields [N, ...] to a VTU file;

@@ -27,7 +27,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from warp_peri import __version__
-from warp_peri.errors import ALONE, InputError, StrPath, Values, agreed
+from warp_peri.errors import ALONE, Arrays, InputError, StrPath, Values, agreed
 from warp_peri.files import atomic
 from warp_peri.files.atomic import check_hdf5, locked, parsed, whole_hdf5, written
 
@@ -46,8 +46,6 @@ HOMES = ("/site-packages/", "/dist-packages/", *_OWN)
 """Parts of paths of installed packages, of Python's own modules and of this library's."""
 OF_A_FIT = "sha256", "certificate", "proven", "provenance", "versions", "errors"
 """Of a material's file, which a second fit of the same numbers has otherwise."""
-Arrays: TypeAlias = Mapping[str, np.ndarray]
-"""Arrays by name."""
 
 
 class AllNodes:
@@ -319,7 +317,7 @@ class RunFile:
         values = self.nodes.comm.bcast(fingerprint(text))
         return str(own.mark(*(nodal[name] for name in sorted(nodal)), values))
 
-    def read(self, like: Arrays) -> tuple[dict[str, np.ndarray], Values] | None:
+    def read(self, like: Arrays) -> tuple[Arrays, Values] | None:
         """Read arrays on all nodes here, which fit others (check_like), and the values; None where
         there is no file yet. InputError for a file of another kind, and one that is not read."""
         nodes, comm = self.nodes, self.nodes.comm
@@ -354,7 +352,7 @@ class ArrayFile:
             made = {name: np.asarray(one) for name, one in arrays.items()}
             write_arrays(self.path, made, {"key": self.key, "mark": fingerprint(made)})
 
-    def read(self, like: Values) -> dict[str, np.ndarray] | None:
+    def read(self, like: Values) -> Arrays | None:
         """Arrays of the checkpoint, which fit others (check_like); None where there is no file yet;
         InputError for a file of another run, and one that is not read."""
         if self.path is None or not self.path.exists():
@@ -407,7 +405,7 @@ def write_arrays(path: StrPath, arrays: Arrays, attributes: Values) -> None:
 
 def read_arrays(
     path: StrPath, place: Mapping[str, np.ndarray | None] | None = None
-) -> tuple[dict[str, np.ndarray], Values]:
+) -> tuple[Arrays, Values]:
     """Read rows at places of arrays by name (None, or no name: all), and the attributes; InputError
     for a file that is none or lacks an array."""
     found = {}

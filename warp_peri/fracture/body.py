@@ -16,7 +16,13 @@ from numpy.typing import ArrayLike
 from warp_peri.errors import InputError, warn
 from warp_peri.points.arguments import Positive, check_nodes, checked, typed, typed_methods
 from warp_peri.points.families import HORIZON_TOLERANCE, BondClasses, bond_classes, neighbour_table
-from warp_peri.points.points import check_dimensions, checked_positions, grid_places, straight_steps
+from warp_peri.points.points import (
+    InSpace,
+    check_dimensions,
+    checked_positions,
+    grid_places,
+    straight_steps,
+)
 
 HAIR = 1e-3
 """How far a crack through a row of nodes is moved to one side, in spacings."""
@@ -28,7 +34,7 @@ FELT = 2.0
 
 @typed_methods
 @dataclass(frozen=True, eq=False)
-class LatticeBody:
+class LatticeBody(InSpace):
     """Nodes of a square or cubic lattice and the bonds between them.
 
     Attributes:
@@ -46,11 +52,6 @@ class LatticeBody:
     neighbour: np.ndarray
     axes: np.ndarray
     endless: bool = False
-
-    @property
-    def dimension(self) -> int:
-        """Dimension of space, 2 or 3."""
-        return int(self.x.shape[1])
 
     @property
     def xi(self) -> np.ndarray:

@@ -14,8 +14,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from warp_peri.errors import InputError, Values, agreed, called
-from warp_peri.files.checkpoint import AllNodes, Arrays, fingerprint
+from warp_peri.errors import Arrays, InputError, Values, agreed, called
+from warp_peri.files.checkpoint import AllNodes, fingerprint
 from warp_peri.fracture.body import LatticeBody, cracked
 from warp_peri.fracture.bonds import CutOperator, SurfaceCorrection, unit_toughness
 from warp_peri.fracture.materials import BrittleMaterial
@@ -77,8 +77,7 @@ class BreakingBody:
         corrected: as of Cracked.
 
     Attributes:
-        longest_step: Δt proven stable whatever breaks (theory, C9); corrected a little less,
-            measured.
+        longest_step: Δt proven stable whatever breaks (theory, C9); corrected less, measured.
         exchange: fills the displacement [N, d] of nodes that another process moves, or None.
 
     Raises InputError for a model that changes sign, or arrays that do not fit.

@@ -26,7 +26,7 @@ from warp_peri.core.elastic import (
 from warp_peri.core.proof import StencilCertificate, check_spacing, largest, prove
 from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.core.stencil import Stencil, elastic_from_brackets
-from warp_peri.errors import InputError, Rows, Values, hold, warn
+from warp_peri.errors import Arrays, InputError, Rows, Values, hold, warn
 from warp_peri.fitting.regression import norms
 from warp_peri.points import arguments
 from warp_peri.points.arguments import USUAL, Units, checked, plain, shown_moduli, symbols, typed
@@ -80,7 +80,7 @@ class TensorOperator(OperatorBase):
         return np.reshape(pushed, (*w.shape[:-2], *self.shape))
 
     @property
-    def learnable(self) -> dict[str, np.ndarray]:
+    def learnable(self) -> Arrays:
         """Tensors C(ξ) of half of the bonds [stress/length²], [H, d, d], along the nodes' axes."""
         return {"tensors": self.tensors}
 
@@ -227,8 +227,7 @@ class StencilMaterial(Record):
 
     def on(self, points: Points | Samples, *, dtype: Any = np.float64) -> TensorOperator:
         """Build the operator on nodes of the material's own spacing, its steps along their axes;
-        for other spacings, and for a crystal that stays when the lattice turns, see
-        transfer_to_lattice.
+        for other spacings, and a crystal that stays as the lattice turns, transfer_to_lattice.
 
         Args:
             points: lattice nodes with a collar, or periodic, in the material's units.
@@ -254,8 +253,7 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
         orientation: the crystal's axes in those of the nodes, as columns; degrees in the plane.
         certificate: what is proven of the symbol; None where nothing was asked.
         provenance: how it came to be; plain JSON values.
-        stress: that the crystal is held under, along the nodes' axes [stress], [d, d]; None at
-            rest.
+        stress: that the crystal is held under, along the nodes' axes [stress], [d, d]; or None.
 
     Raises InputError for shapes that do not fit, steps given twice, tensors that are not symmetric
     or do not have the stated symmetry.

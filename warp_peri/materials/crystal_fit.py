@@ -152,8 +152,7 @@ class Tensors:
 @typed
 @dataclass(frozen=True)
 class Crystal:
-    """Settings of a crystal fit: a tensor C(ξ) for every bond, in the plane or in space (theory,
-    T).
+    """Settings of a crystal fit: a tensor C(ξ) for every bond, in the plane or space (theory, T).
 
     Attributes:
         horizon: length of the longest bond [length].
@@ -445,8 +444,7 @@ def plane_stress(law: CrystalMaterial, normal: int = 2) -> CrystalMaterial:
     """Reduce a crystal in space to a thin sheet, free of stress across an axis of its nodes.
 
     Its moduli are a Schur complement; at short waves it answers as that elastic solid does, for
-    what a sheet's faces do there is no property of the crystal. Bonds and errors as in
-    `plane_strain`.
+    what faces do there is no property of the crystal. Bonds and errors as in `plane_strain`.
     """
     order = [*_kept(law, normal), normal]
     C = elastic.plane_stress(law.tensor()[np.ix_(order, order, order, order)])

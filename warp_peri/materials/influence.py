@@ -106,7 +106,7 @@ class InfluenceFunction:
 
     def at(self, vector: np.ndarray) -> InfluenceFunction:
         """The influence function with other parameters, in one vector [P]."""
-        values, first = dict[str, Any](), 0
+        values, first = Values(), 0
         vector = checked("vector", vector, float, self.vector.shape)
         for name, value in self.parameters.items():
             part = vector[first : first + np.size(value)]

@@ -78,8 +78,7 @@ def check_influence(alpha: float, D: np.ndarray) -> None:
 @typed
 @dataclass(frozen=True, eq=False)
 class LPSParameters:
-    """Numbers λ, μ [TPa], α < 3 and D [M + 1] of a homogeneous LPS, or torch tensors with
-    gradients.
+    """Numbers λ, μ [TPa], α < 3, D [M + 1] of a homogeneous LPS, or tensors with gradients.
 
     Raises InputError where λ, μ or α is no single real number, D no list of them, and for α ≥ 3.
     """
@@ -238,8 +237,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
         Args:
             points: N nodes x.
             lam, mu: numbers, one value a node, shape [N], or functions of x [N, d], of which λ +
-                2μ/d and μ are averaged harmonically over a ball of δ/2 around each node; None for
-                its own.
+                2μ/d and μ are averaged harmonically over a ball of δ/2 around each node; or None.
 
         Raises InputError for others, and where μ > 0 and λ + 2μ/d > 0 do not hold everywhere.
         """

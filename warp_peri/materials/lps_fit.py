@@ -89,8 +89,7 @@ ERROR_TOLERANCE, ROUNDING = 1e-6, 1e-8
 @typed
 @dataclass(frozen=True)
 class LPS:
-    """Settings of a fit of the linear peridynamic solid and its influence function (theory, 4–9,
-    V7).
+    """Settings of a fit of the linear peridynamic solid and its influence function (4–9, V7).
 
     Attributes:
         horizon: δ [Å], at least one spacing.

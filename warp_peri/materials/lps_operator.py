@@ -141,7 +141,7 @@ class LPSOperator(OperatorBase):
                 "parameters: expected LPSParameters of arrays of Warp, got "
                 f"{type(parameters).__name__}"
             )
-        given = dict[str, Any]()
+        given = Values()
         for (name, own), one in zip(self.learnable.items(), numbers):
             check_shape(name, one, np.atleast_1d(own).shape)
             given[name] = one.numpy().reshape(np.shape(own))
@@ -251,8 +251,7 @@ class LPSOperator(OperatorBase):
         """Equilibrium with b on the interior, u given on the collar (theory, 29).
 
         Args:
-            b, u: [TPa/Å] and [Å], shape [N, d] or [S, N, d]; the answer is differentiable in torch
-                tensors.
+            b, u: [TPa/Å] and [Å], shape [N, d] or [S, N, d]; of tensors it is differentiable.
             solver: Direct(…) or CG(…); None takes the cheapest by size and shape.
             parameters: some of λ, μ, α and D by name, the material's own by default.
 

@@ -107,8 +107,7 @@ class Smoothing:
 def fitted_weights(classes: BondClasses, factor: ArrayMap, reach: float) -> np.ndarray:
     """Fit weights p [1/Å²], Σ n r² p = 1, whose symbol 2 Σ p sin(k·ξ) ξ is near k factor(|k|) over
     the square |k_a| ≤ reach [1/Å]. Errors count as those of the gradient under a unit load, which
-    displaces by 1/|k|², and wave numbers alike: |k|^(−5/2) has the least residual on training loads
-    that were held out."""
+    displaces by 1/|k|², wave numbers alike: |k|^(−5/2) has the least residual on held-out loads."""
     sigma = classes.count * classes.r**2
     member = np.eye(len(classes.r))[classes.bond_class]
     line = np.linspace(-reach, reach, GRID)
@@ -371,8 +370,7 @@ class PlacedThirdOrder(Pointwise):
 @typed
 @dataclass(frozen=True)
 class ThirdOrder:
-    """Settings of a fit of a crystal with third-order constants t3, tq2, q3 (theory, N1–N6,
-    N22–N29).
+    """Settings of a fit of a crystal with third-order constants t3, tq2, q3 (N1–N6, N22–N29).
 
     Attributes:
         linear: Crystal(…), whose tensors are learned with the constants by one least squares; its

@@ -16,7 +16,7 @@ from warp_peri.materials.crystal import StencilMaterial, crystal_from_lps
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.transfer import model_at
 from warp_peri.mpi.processes import Comm, Slabs, build, halo, in_turn, inner
-from warp_peri.points.arguments import Options, check_arguments, check_same, offered, picked
+from warp_peri.points.arguments import Options, Pair, check_arguments, check_same, offered, picked
 from warp_peri.points.points import Points, grid_places
 from warp_peri.protocols import OF_PROOFS
 from warp_peri.runtime import shared_by
@@ -28,12 +28,11 @@ if TYPE_CHECKING:
 
 WHOLE = 10_000
 """Most nodes of a level that every rank has all of."""
-Coarser = tuple[np.ndarray, np.ndarray]
-"""Steps and tensors of the next coarser level."""
 
 
 class Level(VCycle):
-    """VCycle of this rank's nodes of a mask, which reads the rows of others around them."""
+    """VCycle of this rank's nodes of a mask, which reads the rows of others around them, with steps
+    and tensors of the level `below`."""
 
     def __init__(
         self,
@@ -42,7 +41,7 @@ class Level(VCycle):
         mask: np.ndarray,
         steps: np.ndarray,
         tensors: np.ndarray,
-        below: Coarser | None = None,
+        below: Pair | None = None,
     ) -> None:
         self._lay(steps, tensors, mask)
         self.comm, self.largest, self._fewer = comm, largest(steps, tensors), slabs.coarser()
@@ -148,8 +147,7 @@ class RowOperator:
 
 def operator_on(material: Any, piece: Subdomain, options: Options) -> Any:
     """Make the RowOperator of a linear solid on a lattice in slabs, of an LPS by `model_at`, whose
-    options it takes out. Raises InputError for other materials, as RowOperator and as their
-    `fitting`."""
+    options it takes out. InputError for other materials, as RowOperator and as their `fitting`."""
     with agreed(piece.comm):
         offered(material, "stencil", "material", "a linear solid or a crystal on ranks")
         if not isinstance(material, LPSMaterial):

@@ -1,5 +1,4 @@
-"""Ranks of mpiexec: output, errors, sums with the same bits on any number of them (R3), slabs,
-halos."""
+"""Ranks of mpiexec: output, errors, sums with the same bits on any number (R3), slabs, halos."""
 
 from __future__ import annotations
 
@@ -19,6 +18,7 @@ import numpy as np
 
 from warp_peri import errors
 from warp_peri.errors import InputError, Shape, agreed
+from warp_peri.points.arguments import ArrayMap
 from warp_peri.runtime import DEVICE, get_num_threads, ranks_started, set_num_threads, shared_by
 from warp_peri.solvers.systems import HERE, Inner
 
@@ -199,7 +199,7 @@ def cut(comm: Comm, shape: Shape, rows: int) -> Slabs:
     return Slabs(tuple(map(int, shape)), rows, starts)
 
 
-def halo(comm: Comm, slabs: Slabs, w: int) -> Callable[[np.ndarray], np.ndarray]:
+def halo(comm: Comm, slabs: Slabs, w: int) -> ArrayMap:
     """Make what lays `w` nodes of other ranks around a field [c, *box] of this rank's; zeros beyond
     the box."""
     own, give, take = slabs.own(comm.rank), list[Any](), list[Any]()

@@ -40,7 +40,7 @@ from warp_peri.points.arguments import (
     taken,
 )
 from warp_peri.points.families import HORIZON_TOLERANCE
-from warp_peri.points.points import LATTICE_TOLERANCE, PointsLike, checked_axis, nodes_of
+from warp_peri.points.points import LATTICE_TOLERANCE, InSpace, PointsLike, checked_axis, nodes_of
 from warp_peri.runtime import ranks_started
 from warp_peri.solvers.motion import Motion, Recorder
 from warp_peri.solvers.solution import CG, TOLERANCE, Solution, Solver, by_sample, refuse_solver
@@ -48,8 +48,7 @@ from warp_peri.solvers.systems import Inner
 from warp_peri.solvers.verlet import march
 
 SLAB, FEW = 8, 50_000
-"""Least rows of a slab; nodes of a level of multigrid that every rank can have, to which slabs can
-be halved."""
+"""Least rows of a slab; nodes of a level that every rank can have, to which slabs can be halved."""
 FIELDS = "load", "held", "grip", "no_fail", "u", "v"
 """Of a body that breaks, on nodes."""
 NUMBERS = itertools.count(1)
@@ -58,7 +57,7 @@ _OF_A_WHOLE = "box", "outside", "is_open_lattice", "lattice", "rows"
 
 
 @dataclass(frozen=True, eq=False)
-class Subdomain:
+class Subdomain(InSpace):
     """Nodes that this rank owns, on which its fields are.
 
     Attributes:
@@ -88,11 +87,6 @@ class Subdomain:
     which: int = field(default=0, init=False)
     own = slice(None)
     """Of the nodes that belong to this rank: all."""
-
-    @property
-    def dimension(self) -> int:
-        """Dimension of space, 2 or 3."""
-        return int(self.x.shape[1])
 
     def numbered(self) -> Subdomain:
         """The piece as the next body that the ranks make together."""

@@ -17,7 +17,7 @@ import torch
 
 from warp_peri.core import record
 from warp_peri.core.record import Length
-from warp_peri.errors import InputError, Rows, Shape, Shown, StrPath, Values
+from warp_peri.errors import Arrays, InputError, Rows, Shape, Shown, StrPath, Values
 from warp_peri.files import atomic
 from warp_peri.neural.placed import Placed, check_precision
 from warp_peri.neural.training import NeuralFit, TrainingSettings, train
@@ -143,8 +143,7 @@ class NeuralOperator(Shown, torch.nn.Module):
     def save(self, path: StrPath) -> None:
         """Write one .json file with the weights in it, in their precision, whole or not at all.
 
-        Raises InputError for another ending, and for weights that are not finite or too many for a
-        file.
+        Raises InputError for another ending, and weights not finite or too many for a file.
         """
         if Path(path).suffix != ".json":
             raise InputError(f"{path}: expected a name that ends in .json")
@@ -260,7 +259,7 @@ class NeuralFile(record.Record, format="warp_peri.neural", version=2):
         return material
 
 
-def _check_finite(weights: dict[str, np.ndarray]) -> None:
+def _check_finite(weights: Arrays) -> None:
     for key, part in weights.items():
         if not np.isfinite(part).all():
             raise InputError(f"{key}: expected finite numbers")

@@ -133,8 +133,7 @@ class Placed(OperatorBase):
         self.back = number[row[self.ends[self.own]], families.reverse]
 
     def stretch(self, u: torch.Tensor, share: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Extensions |Y| − |ξ| [S, F, B], dilatations [S, F], directions Y/|Y| [S, I, B, 2]
-        (NO3)."""
+        """Extensions |Y| − |ξ| [S, F, B], dilatations [S, F], Y/|Y| [S, I, B, 2] (NO3)."""
         xi, r = (torch.as_tensor(one, dtype=u.dtype) for one in (self.xi, self.r))
         eta = u[:, self.ends] - u[:, self.whole, None]
         Y = xi + eta

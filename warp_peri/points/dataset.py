@@ -218,8 +218,7 @@ def design_loads(
     """Make loads that a material is learned from in place of many single waves.
 
     One does for a fit whose moduli are held, two for one that finds them. Give each to the atoms
-    and its reverse: what their answers have of even order then cancels, which few loads do not
-    average.
+    and its reverse: what their answers have of even order then cancels, which few do not average.
 
     Args:
         points: of a periodic body, as Points.sheet or Points(…, box=…); atoms or nodes.
@@ -355,8 +354,7 @@ def load_dataset(path: StrPath, *, units: Units | None = None) -> Dataset:
     A file that names no units is taken to be in Å and TPa, with a warning. With `units`, as
     ("angstrom", "TPa"), the numbers are converted; the mass density stays as it is. Nothing outside
     the file is read: links and arrays kept in other files are refused. Sizes are checked before
-    memory is taken, and the contents against the hash, if there is one. Raises InputError naming
-    what is wrong.
+    memory is taken, and contents against a hash. Raises InputError naming what is wrong.
     """
     check_regular(path)
     try:

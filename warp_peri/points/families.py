@@ -359,8 +359,7 @@ def edge_strain(x: np.ndarray, triangles: np.ndarray, u: np.ndarray) -> float:
 
 
 def quadrature_weights(xi: ArrayLike, horizon: float, *, degree: int = DEGREE) -> np.ndarray:
-    """Minimum-norm quadrature weights W of a family with Σ_j W_j q(ξ_j) = ∫ q over the ball, [Å^d],
-    [B].
+    """Minimum-norm weights W of a family with Σ_j W_j q(ξ_j) = ∫ q over the ball, [Å^d], [B].
 
     q = p / r³ with monomials p of 4 − d ≤ degree of p ≤ degree: those whose quotient is integrable
     in d dimensions (Trask et al. 2019; You et al. 2021, section 3.2).

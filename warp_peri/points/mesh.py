@@ -14,9 +14,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from warp_peri.errors import InputError, Rows, Shown, Values, hold, warn
+from warp_peri.errors import Arrays, InputError, Rows, Shown, Values, hold, warn
 from warp_peri.points.arguments import as_array, checked, typed
-from warp_peri.points.points import checked_positions, grid_places
+from warp_peri.points.points import InSpace, checked_positions, grid_places
 
 REST = "rest"
 """Name of the edges of an outline, or the faces of a surface, that have no other."""
@@ -47,7 +47,7 @@ MOST_PARTS = {2: 10**6, 3: 12}
 
 @typed
 @dataclass(frozen=True, eq=False, repr=False)
-class Mesh(Shown):
+class Mesh(InSpace, Shown):
     """Triangles or tetrahedra of a body, with an outline or a surface that may be curved.
 
     Attributes:
@@ -58,8 +58,7 @@ class Mesh(Shown):
             counter-clockwise seen from outside.
         middle: points of the outline halfway along the `curved` edges [length], shape [E, d]; an
             edge is the parabola through its ends and this.
-        parts: faces by name, numbers into `faces`, shape [n] int each; those that have no name are
-            REST.
+        parts: faces by name, numbers into `faces`, shape [n] int each; those without are REST.
         curved: edges by their corners, shape [E, 2] int; in the plane all `faces`.
 
     Raises InputError naming the first array of another shape, with values that are not finite, or
@@ -103,11 +102,6 @@ class Mesh(Shown):
         box = ", ".join(f"{a:g} to {b:g}" for a, b in found.pop("box"))
         parts = ", ".join(f"{name} ({count})" for name, count in found.pop("parts").items())
         return [*((n, str(count)) for n, count in found.items()), ("box", box), ("parts", parts)]
-
-    @property
-    def dimension(self) -> int:
-        """Dimension of space: 2 or 3."""
-        return int(self.x.shape[1])
 
     @property
     def hole_sizes(self) -> np.ndarray:
@@ -281,9 +275,7 @@ def _refuse_covered(x: np.ndarray, t: np.ndarray, facets: np.ndarray, across: np
         )
 
 
-def _named(
-    facets: np.ndarray, parts: Mapping[str, np.ndarray], whole: str, inner: bool
-) -> dict[str, np.ndarray]:
+def _named(facets: np.ndarray, parts: Arrays, whole: str, inner: bool) -> Arrays:
     """Facets by name, each once; InputError, or a warning, for parts that hold others."""
     number = {tuple(facet): n for n, facet in enumerate(np.sort(facets, axis=1).tolist())}
     named, left = {}, np.ones(len(facets), bool)

@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 from numpy.linalg import det
 
-from warp_peri.errors import InputError, StrPath, warn
+from warp_peri.errors import Arrays, InputError, StrPath, warn
 from warp_peri.files.atomic import check_hdf5, check_xml, content, meshio_of
 from warp_peri.points.mesh import REST, Mesh, facets_of, make_mesh
 
@@ -121,7 +121,7 @@ def _halves(x: np.ndarray, quads: np.ndarray) -> np.ndarray:
     return every[(np.diff(np.sort(every)) > 0).all(axis=1)]
 
 
-def _groups(read: Any, body: np.ndarray) -> dict[str, np.ndarray]:
+def _groups(read: Any, body: np.ndarray) -> Arrays:
     """Lines or triangles of a meshio mesh by the names or numbers of its sets and groups; of a set
     of nodes the outline's sides with all corners in it."""
     dim = body.shape[1] - 2

@@ -118,8 +118,7 @@ def mesh_outline(outer: Outline, holes: Sequence[Outline] = (), *, size: Positiv
         holes: none may meet another or the outer outline.
         size: sides of the triangles [Å] where the outlines ask for nothing.
 
-    Raises InputError for sizes that are not positive, outlines that cannot be meshed, and without
-    Netgen.
+    Raises InputError for sizes not positive, outlines that cannot be meshed, and without Netgen.
     """
     without = "netgen-mesher is not installed: pip install 'warp_peri[bodies]'"
     netgen = optional("netgen.geom2d", without)

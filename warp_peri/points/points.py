@@ -58,9 +58,20 @@ class Lattice(NamedTuple):
     axes: np.ndarray
 
 
+class InSpace:
+    """Base of what has positions x, shape [N, d]."""
+
+    x: np.ndarray
+
+    @property
+    def dimension(self) -> int:
+        """Dimension of space: 2 or 3."""
+        return int(self.x.shape[1])
+
+
 @typed
 @dataclass(frozen=True, eq=False, repr=False)
-class Points(Shown, Held):
+class Points(InSpace, Shown, Held):
     """Nodes of one body: positions, interior, spacing, periods.
 
     Attributes:
@@ -187,8 +198,7 @@ class Points(Shown, Held):
         units: Units = USUAL,
         axis: Any = None,
     ) -> Points:
-        """Make a lattice about the origin: a disk or ball, its interior, in a collar of two
-        horizons.
+        """Make a lattice about the origin: a disk or ball, the interior, in a collar of 2δ.
 
         Args:
             radius: of the interior [length].
@@ -224,11 +234,6 @@ class Points(Shown, Held):
             if not np.array_equal(mine, theirs):
                 return name
         return ""
-
-    @property
-    def dimension(self) -> int:
-        """Dimension of space: 2 or 3."""
-        return int(self.x.shape[1])
 
     @cached_property
     def lattice(self) -> Lattice:

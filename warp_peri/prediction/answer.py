@@ -1,5 +1,4 @@
-"""Predictions to a tolerance (theory, Q1–Q5): solved by the cheapest member, corrected by the
-richest."""
+"""Predictions to a tolerance (Q1–Q5): solved by the cheapest member, corrected by the richest."""
 
 from __future__ import annotations
 
@@ -17,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from warp_peri.core.elastic import symmetric_part
 from warp_peri.core.proof import prove, stencil_of
-from warp_peri.errors import InputError, Rows, Shown, Values
+from warp_peri.errors import Arrays, InputError, Rows, Shown, Values
 from warp_peri.materials.certificate import curvature_bound
 from warp_peri.points.arguments import Positive, checked, checked_fields, typed, typed_methods
 from warp_peri.points.points import PointsLike, Samples, nodes_of
@@ -167,7 +166,7 @@ class Prediction(Shown):
         return told + "".join(f"; not covered: {one.split(':')[0]}" for one in self.uncovered)
 
     @cached_property
-    def fields(self) -> dict[str, np.ndarray]:
+    def fields(self) -> Arrays:
         """Error fields on the interior by origin, computed on first use."""
         placed, left = self.operator, self.operator.correction(self.load, self.u)
         return placed.doubts(self.u, left, placed.recorded(self.u)[0], self.slowed)
@@ -195,7 +194,7 @@ class Prediction(Shown):
         bar[self.operator.points.interior] = self._bar(sizes)
         return bar
 
-    def _bar(self, sizes: dict[str, np.ndarray]) -> np.ndarray:
+    def _bar(self, sizes: Arrays) -> np.ndarray:
         """Likely error of numbers that error fields change by `sizes`; NaN where it is unknown."""
         bar = norm([*combined(sizes, self.operator.family.factors).values()], axis=0)
         return np.where(np.isnan(self.error), np.nan, bar)

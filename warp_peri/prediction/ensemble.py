@@ -16,7 +16,7 @@ from scipy.ndimage import distance_transform_edt
 from warp_peri.core.elastic import symmetric_part
 from warp_peri.core.record import FieldUnits, OnLinear
 from warp_peri.core.stencil import Grid, grid_of
-from warp_peri.errors import InputError, Rows, Values
+from warp_peri.errors import Arrays, InputError, Rows, Values
 from warp_peri.fitting.result import Fit
 from warp_peri.points.arguments import ArrayMap, NotNegative, checked, is_number, offered, typed
 from warp_peri.points.dataset import sets_of
@@ -217,7 +217,7 @@ class EnsembleOperator:
 
     def doubts(
         self, u: np.ndarray, left: np.ndarray, told: float | None = None, slowed: float = 0.0
-    ) -> dict[str, np.ndarray]:
+    ) -> Arrays:
         """Error fields of u [length], shape [I, d], by origin (Q1–Q3); `slowed` as of `series`.
 
         "left": its remaining correction; "waves": by the second member; "data": by the halves, both
@@ -300,8 +300,7 @@ class EnsembleMaterial(OnLinear, format="warp_peri.family", version=2):
     Attributes:
         rich: the best material of the data, linear or of third order.
         second: a poorer one; the difference is the error of short waves.
-        halves: the rich material from two halves of the samples; the difference is the data's
-            error.
+        halves: the rich material from two halves of the samples; they differ by the data's error.
         record: error of the rich member by wavelength; None of scattered samples.
         factors: calibration.
         strain: largest strain between neighbouring nodes in the samples.

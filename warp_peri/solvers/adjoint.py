@@ -130,7 +130,7 @@ class _Waves:
         p, v of the end (p is overwritten) and `seen` of the records."""
         wanted = [*compress(self.names, asked[4:])]
         free, whole, last = self.body.interior, self.dt / self.body.inertia, self.steps
-        q, load, totals = v[free], np.zeros_like(v[free]), dict[str, Any].fromkeys(wanted, 0.0)
+        q, load, totals = v[free], np.zeros_like(v[free]), Values.fromkeys(wanted, 0.0)
         by_signal, batch = np.zeros(last + 1), list[Pair]()
         for number, u in self._backwards():
             if number < last:

@@ -93,8 +93,7 @@ class NonlinearRecord:
         largest_gradient: largest |H| within δ of the unknowns.
         unique: whether |H| stays below the proven strain, so that no other solution does.
         eigenvalue: smallest eigenvalue of the symmetric part of the tangent at the answer
-            [stress/length²]; above zero the answer is stable. None where not asked for, and above
-            DIRECT nodes.
+            [stress/length²]; above zero the answer is stable. None unasked, and above DIRECT nodes.
         converged: whether the residual is within the tolerance.
         followed: whether stable equilibria lead to it from rest along the load, as far as the steps
             tell; false for another minimum, found by going down.
@@ -279,8 +278,7 @@ class Descent:
     """Solver for stable equilibria of an operator with an energy, down its potential.
 
     Beside a force the operator offers that of `everywhere`, its `nodal_energy`, `folds` of a field,
-    `factors` of its tangent, where none are taken a `rough` inverse, and `lift`, where a search
-    begins.
+    `factors` of its tangent, where none are taken a `rough` inverse, and `lift`, a search's start.
     """
 
     op: Any
@@ -424,8 +422,7 @@ class Descent:
         self, load: np.ndarray, u: np.ndarray, step: np.ndarray, left: np.ndarray, small: float,
         folds: float,
     ) -> tuple[np.ndarray, float] | None:  # fmt: skip
-        """Field after the longest part of a step that lowers the potential or residual; its
-        folds."""
+        """Field after the longest part of a step that lowers potential or residual; its folds."""
         before, slope, part = self._potential(load, u), float((left * step).sum()), 1.0
         while part > SHORTEST:
             ahead = u + self.op.on_all(part * step)

@@ -33,6 +33,7 @@ from warp_peri.core.stencil import (
     torus_symbol,
 )
 from warp_peri.errors import InputError, Shape
+from warp_peri.points.arguments import ArrayMap
 from warp_peri.points.points import Points, grid_places
 from warp_peri.runtime import get_num_threads
 from warp_peri.solvers.systems import (
@@ -45,8 +46,6 @@ from warp_peri.solvers.systems import (
 
 Inverse: TypeAlias = Callable[[np.ndarray, float], np.ndarray]
 """An inverse of the linear part: of a load on the interior [I, d], to a relative residual."""
-Filter: TypeAlias = Callable[[np.ndarray], np.ndarray]
-"""A product of planes, or an approximate inverse."""
 FEW = DIRECT = 4_000
 """Most unknown nodes for which multigrid, whose iterations do not grow, is not worth its set-up;
 and most that are factorised."""
@@ -95,8 +94,8 @@ class Linear:
         self.dtype = np.dtype(dtype)
         many = len(stencil.steps) >= FFT_BONDS[self.grid.dimension]
         make: type[ByFFT | ByRows] = ByFFT if many else ByRows
-        self.pull: Filter = make(self.grid, stencil.steps, stencil.tensors, self.dtype)
-        self._filters: dict[str, tuple[Filter, Filter | None]] = {}
+        self.pull: ArrayMap = make(self.grid, stencil.steps, stencil.tensors, self.dtype)
+        self._filters: dict[str, tuple[ArrayMap, ArrayMap | None]] = {}
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
         """Force L u of fields [S, N, d] at the interior nodes, [S, I, d]."""
@@ -156,7 +155,7 @@ class Linear:
             return "strip"
         return "sine" if grid.is_box else "fft" if nodes <= FEW else "multigrid"
 
-    def filter(self, method: str) -> tuple[Filter, Filter | None]:
+    def filter(self, method: str) -> tuple[ArrayMap, ArrayMap | None]:
         """Preconditioner z ≈ L_II⁻¹ r of planes [d, *shape], and where a search begins."""
         if method not in self._filters:
             stencil, h2 = self.stencil, self.stencil.spacing**2
@@ -270,7 +269,7 @@ def smallest_ratio(symbol: np.ndarray, torus: Shape) -> float:
     return smallest
 
 
-def edge_elimination(grid: Grid, stencil: Stencil) -> Filter:
+def edge_elimination(grid: Grid, stencil: Stencil) -> ArrayMap:
     """Edge elimination z = E A_ee⁻¹ Eᵗ r of planes r [d, *shape]: displacement on nodes within a
     reach of the edge that leaves no residual there, else zero."""
     mask = grid.mask()
@@ -304,7 +303,7 @@ def shear(elastic: np.ndarray) -> float:
 
 def torus_inverse(
     nodes: Grid, steps: np.ndarray, tensors: np.ndarray, shift: np.ndarray | float = 0.0
-) -> Filter:
+) -> ArrayMap:
     """Filter (D(k) + shift I)⁻¹ on the torus around the nodes, cut off at them."""
     torus = torus_shape(nodes)
     kind = np.float64 if nodes.periodic else np.float32  # on a period it is the whole inverse
@@ -326,7 +325,7 @@ def seen_by_coarser(torus: Shape) -> np.ndarray:
     return reduce(np.multiply.outer, seen)
 
 
-def sine(nodes: Grid, steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarray) -> Filter:
+def sine(nodes: Grid, steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarray) -> ArrayMap:
     """Filter for boxes: z = H ∗ r + S D_a⁻¹ shift (D_a + shift)⁻¹ S r, S the DST-I, the symbol's
     diagonal D_a = D_aa in the sine basis at long waves, all of it at short ones."""
     d, core = nodes.dimension, nodes.core
@@ -352,7 +351,7 @@ def sine(nodes: Grid, steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarra
     return apply
 
 
-def multigrid(nodes: Grid, steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarray) -> Filter:
+def multigrid(nodes: Grid, steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarray) -> ArrayMap:
     """Filter for any mask: short waves by a filter on the torus, long ones by a V-cycle, added. z =
     mask (H ∗ r + P V(Pᵗ r)), H = (D + shift p(k))⁻¹ with p of `seen_by_coarser`; V is a V-cycle for
     Q1 elements of the same moduli on every second node."""

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from tqdm import tqdm
 
-from warp_peri.errors import InputError, Rows, Shown, StrPath, Values, agreed
+from warp_peri.errors import Arrays, InputError, Rows, Shown, StrPath, Values, agreed
 from warp_peri.files.atomic import meshio_of, write_text, write_vtu, written
-from warp_peri.files.checkpoint import AllNodes, Arrays, RunFile, fingerprint, gathered, held, same
+from warp_peri.files.checkpoint import AllNodes, RunFile, fingerprint, gathered, held, same
 from warp_peri.points import arguments
 from warp_peri.points.arguments import Count, Natural, Options, check_mapping, plain, typed_methods
 
@@ -140,11 +140,11 @@ class TimeSeriesWriter:
             )
         self.mark, self.claimed = mark, True
 
-    def write(self, step: Natural, time: float, fields: Mapping[str, np.ndarray]) -> None:
+    def write(self, step: Natural, time: float, fields: Arrays) -> None:
         """Write one record of the motion, after which later ones are none; vectors in the plane get
         a third component. InputError, on all ranks, for other fields than [n] or [n, d] of the own
         nodes, or than other ranks', and for a full disk."""
-        nodes, found = self.nodes, dict[str, Any]()
+        nodes, found = self.nodes, Values()
         with agreed(nodes.comm):
             given = {"step": step, "time": time, "fields": fields}
             step, time, fields = arguments.check_arguments(TimeSeriesWriter.write, given).values()
@@ -255,7 +255,7 @@ class Recorder:
                     self.file.write(arrays, {"steps": state.steps, "key": key} | content)
         return state
 
-    def recorded(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    def recorded(self) -> tuple[np.ndarray, Arrays]:
         """Times of the records, and the histories by name."""
         history = {name: np.array(rows) for name, rows in self.history.items()}
         return history.pop("time"), history

@@ -83,8 +83,7 @@ class Coupling:
 
     Attributes:
         spacing: of the bulk's lattice [Å]; None for the coarsest that resolves loads and body.
-        overlap: width of what both solve for [Å]; None for two horizons, of a crystal four
-            spacings.
+        overlap: width of what both solve for [Å]; None for 2δ, of a crystal four spacings.
         depth: least distance of the lattice's unknown nodes from the outline [Å]; None for as near
             as families are whole.
         degree: 2 for quadratic elements, curved at the outline; 1 for linear ones.
@@ -256,8 +255,7 @@ def by_sample(
     operator: Any, u: Any, load: Any, records: Any, method: str = "newton",
     proven: str | None = None,
 ) -> Solution:  # fmt: skip
-    """Solution of samples solved in turn; details are `records`, each with its residual and
-    iterations."""
+    """Solution of samples solved in turn; details are `records`, with residuals and iterations."""
     measured = max((one.residual for one in records), default=None)
     counts = tuple(one.iterations for one in records)
     of = operator.points, operator, load, method, counts, proven

@@ -96,8 +96,7 @@ class MatrixProblem:
     """Assembled problem L u = b on the unknown nodes, u given on the collar (theory, 29).
 
     Args:
-        L: the rows of the operator that belong to unknowns, of d components a node [TPa/Å²]: shape
-            [d I, d N].
+        L: the operator's rows of unknowns, of d components a node [TPa/Å²]: shape [d I, d N].
         interior: unknown nodes, shape [N] bool, or components of them, [N, d].
         factorise: of the unknowns' matrix; RuntimeError for one that is singular.
 

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.core.proof import stencil_of
-from warp_peri.errors import InputError, Values, agreed, quietly, warn
-from warp_peri.files.checkpoint import AllNodes, Arrays, fingerprint
+from warp_peri.errors import Arrays, InputError, Values, agreed, quietly, warn
+from warp_peri.files.checkpoint import AllNodes, fingerprint
 from warp_peri.points import arguments
 from warp_peri.points.arguments import USUAL, Count, Positive, Units, factors, offered, typed
 from warp_peri.points.arguments import checked as read

@@ -168,8 +168,7 @@ class Hyperelastic:
 
     Attributes:
         reach: horizon δ in spacings, at least 2.
-        deviations: bond vectors in lattice steps whose deviation from the nodal strain is
-            penalised, (H6).
+        deviations: bonds in lattice steps whose deviation from the nodal strain is penalised, (H6).
         terms: strain energies.
 
     The coefficients are one vector: deviations, terms. With non-negative ones the material is

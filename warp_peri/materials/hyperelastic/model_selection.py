@@ -15,7 +15,7 @@ from scipy.optimize.elementwise import find_root
 from scipy.special import ndtri, stdtrit
 
 from warp_peri.core.torch_bridge import own_torch
-from warp_peri.errors import InputError, StrPath
+from warp_peri.errors import InputError, StrPath, Values
 from warp_peri.files.atomic import write_text
 from warp_peri.materials.hyperelastic.energies import NEAREST, EnergyTerm, Hyperelastic
 from warp_peri.materials.hyperelastic.fibres import fibre_families, fibre_fan, fibres_of
@@ -40,8 +40,7 @@ STEPS, TOLERANCE = 10, 1e-3
 UNEVEN = 2
 """Degree of the polynomial that is the logarithm of a thickness."""
 DIRECTIONS, WORSE = 8, 1.2
-"""Least directions that families of fibres are looked for in, and how many times worse than those
-they may fit."""
+"""Least directions that fibre families are looked for in; how many times worse these may fit."""
 LEAST_FRAMES = 4
 
 
@@ -118,7 +117,7 @@ def select_model(
     pick = np.arange(len(frames))[::-1] % 2 == 0
     moved = frames.u[:, frames.interior].any(axis=(1, 2))  # of rest no error is told
     train, test = frames[pick], frames[~pick & moved]
-    matrix, even = EnergyTerm("plane_stress"), dict[str, Any]()
+    matrix, even = EnergyTerm("plane_stress"), Values()
     kinds = {"neo-Hookean": (matrix,), "Mooney-Rivlin": (matrix, EnergyTerm("mooney"))}
     kinds["Yeoh"] = (matrix, *(EnergyTerm("yeoh", exponent=p) for p in (2.0, 3.0)))
     if fibres:
@@ -188,8 +187,7 @@ def _learned(
 def uniaxial_stress(
     solid: HyperelasticMaterial, stretches: ArrayLike, angle: float = 0.0
 ) -> np.ndarray:
-    """Nominal stress of a uniform sheet under uniaxial tension along a direction [rad],
-    [stretches].
+    """Nominal stress of a uniform sheet in uniaxial tension along a direction [rad], [stretches].
 
     The other principal direction is free; shear across them is not let go. Raises InputError for
     stretches at which no width is free of stress.

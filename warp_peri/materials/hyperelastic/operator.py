@@ -125,8 +125,7 @@ Active = list[tuple[Sites, list[Energy]]]
 
 
 class HyperelasticSheetOperator(Swept):
-    """A hyperelastic material on a lattice; forces per reference volume, (H8), of a thickness of
-    one.
+    """A hyperelastic material on a lattice; forces per reference volume, (H8), at thickness one.
 
     Args:
         model: the material.
@@ -415,7 +414,7 @@ class HyperelasticSheetOperator(Swept):
         of these, and left_branch, the number of those that another branch may hold. Warns of
         stretches beyond the training data.
         """
-        told, found, start, inverse = dict[str, Any](), [], None, None
+        told, found, start, inverse = Values(), [], None, None
         loads = (np.zeros_like(samples.u) if samples.b is None else samples.b)[:, self.interior]
         if samples.b is not None:
             warn_of_unseen(samples)

@@ -504,8 +504,7 @@ def fit_fibre_families(
     directions: Count = 16,
     most_steps: Count = 12,
 ) -> HyperelasticMaterial:
-    """Fit a material of few parameters: matrix moduli, and fibre families with direction, k1 and
-    k2.
+    """Fit a material of few parameters: matrix moduli, fibre families with direction, k1, k2.
 
     A fit on many directions says where the families are; then angles and exponents are unknowns of
     a Gauss–Newton method, and families that meet become one.
