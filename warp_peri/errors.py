@@ -21,6 +21,8 @@ Rows: TypeAlias = list[tuple[str, str]]
 """Name and value of each line of a summary table."""
 Values: TypeAlias = dict[str, Any]
 """Values by name."""
+Several: TypeAlias = tuple[np.ndarray, ...]
+"""Arrays, which a docstring tells apart."""
 Arrays: TypeAlias = dict[str, np.ndarray]
 """Arrays by name."""
 Shape: TypeAlias = tuple[int, ...]
@@ -193,9 +195,19 @@ class Shown:
         return f"<table>{cells}</table>"
 
 
+class InSpace:
+    """Base of what has positions x, shape [N, d]."""
+
+    x: np.ndarray
+
+    @property
+    def dimension(self) -> int:
+        """Dimension of space: 2 or 3."""
+        return int(self.x.shape[1])
+
+
 def hold(frozen: Any, **fields: Any) -> None:
-    """Set fields of a frozen dataclass, arrays as read-only copies, of which what was proven stays
-    true."""
+    """Set fields of a frozen dataclass, arrays as read-only copies, so that proofs stay true."""
     for name, value in fields.items():
         if isinstance(value, np.ndarray):
             value = value.copy()

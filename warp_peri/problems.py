@@ -87,8 +87,7 @@ class Dirichlet:
         tensors, or with `parameters`, it is that of solvers.adjoint.moved. Flow, as of heat, has
         the options of solvers.adjoint.stepped.
         """
-        how = picked(options, *OF_PROOFS)
-        operator = placed(material, nodes_of(self.points), **how)
+        operator = placed(material, nodes_of(self.points), **picked(options, *OF_PROOFS))
         if hasattr(operator, "march"):
             if "parameters" not in signature(operator.march).parameters:
                 refuse_learning(self, options, "simulate")

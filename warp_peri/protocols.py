@@ -20,6 +20,7 @@ import warp_peri.core as core
 from warp_peri.errors import InputError, Shape, Values, quietly
 from warp_peri.points.arguments import (
     Options,
+    Units,
     check_arguments,
     check_flag,
     checked,
@@ -231,7 +232,7 @@ class Material(Protocol):
         """Dimension d of the space that the material fills."""
 
     @property
-    def units(self) -> tuple[str, str]:
+    def units(self) -> Units:
         """Names of the units of length and stress."""
 
     @property

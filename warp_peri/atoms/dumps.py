@@ -437,8 +437,7 @@ def coarse_grain_dumps(
     if len(unloaded):
         moved -= np.stack(averages[: len(unloaded)])
     u, b = coarse_grain(omega, displacement=moved, **fields)
-    names = {"load_id": np.array([Path(path).name for path in dumps])}
-    return Samples(nodes, u, b, names)
+    return Samples(nodes, u, b, {"load_id": np.array([Path(path).name for path in dumps])})
 
 
 def _warn_of_shares(force: np.ndarray, mass: np.ndarray) -> None:

@@ -14,7 +14,7 @@ from numpy.linalg import det, eigvalsh, inv, lstsq, norm, solve
 
 from warp_peri.core import elastic
 from warp_peri.core.elastic import acoustic, directions, kinds_of, point_group, symmetric_part
-from warp_peri.errors import InputError, hold, warn
+from warp_peri.errors import InputError, Several, hold, warn
 from warp_peri.fitting.regression import norms, relative
 from warp_peri.points import arguments
 from warp_peri.points.arguments import EV_IN_TPA, ArrayMap, checked, typed, typed_methods
@@ -183,8 +183,7 @@ class ForceConstants:
     @property
     def moving(self) -> int:
         """Number of coordinates in which atoms move: 2 for a flat sheet, else 3."""
-        flat = self.dimension == 2 and np.ptp(self.positions[:, 2]) < FLAT
-        return 2 if flat else 3
+        return 2 if self.dimension == 2 and np.ptp(self.positions[:, 2]) < FLAT else 3
 
     def dynamical(self, k: np.ndarray, moving: int | None = None) -> np.ndarray:
         """Stiffness matrix D_at(k) [eV/Å²] at k [1/Å], without masses, [K, n m, n m]. m is
@@ -236,7 +235,7 @@ class ForceConstants:
             sums[i, j] = np.tensordot(weight[:, some], phi[some], 1)
         return sums
 
-    def moments(self, values: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
+    def moments(self, values: np.ndarray | None = None) -> Several:
         """Moments Σ Φ r⁰ [..., n, 3, n, 3], Σ Φ r¹ [..., n, 3, 3, 3], Σ Φ r² [..., 3, 3, 3, 3].
         Dipoles count but for the macroscopic field; `values` [..., P, 3, 3] replace Φ."""
         r, phi = self.vectors, np.moveaxis(self.values if values is None else values, -3, 0)
@@ -250,7 +249,7 @@ class ForceConstants:
         return (zeroth + np.moveaxis(zeroth, (-4, -3), (-2, -1))) / 2, first, second
 
     @cached_property
-    def _of_ions(self) -> tuple[np.ndarray, ...]:
+    def _of_ions(self) -> Several:
         """Moments of the ions' fields, by differences at k = 0."""
         polar: Any = self.polar
         n, signs = len(self.positions), np.array([1.0, -1.0])

@@ -30,7 +30,7 @@ from warp_peri.atoms.force_constants import (
     from_supercell,
 )
 from warp_peri.atoms.relaxed import VACUUM, Reference, check_sites, gap, oriented, thickness_of
-from warp_peri.errors import InputError, Shape, StrPath, optional, warn
+from warp_peri.errors import InputError, Several, Shape, StrPath, optional, warn
 from warp_peri.files.atomic import check_hdf5, check_yaml, content
 from warp_peri.points.arguments import ArrayMap, Positive, checked, offered, typed
 from warp_peri.points.points import grid_points
@@ -158,7 +158,7 @@ def check_phonons(atoms: ForceConstants) -> None:
     )
 
 
-def _phonons(atoms: ForceConstants, parts: np.ndarray) -> tuple[np.ndarray, ...]:
+def _phonons(atoms: ForceConstants, parts: np.ndarray) -> Several:
     """Phonons at fractions [K, d] of reciprocal edges: k [1/Å], ω², modes/√mass [K, 3 n, n, 3]."""
     d = atoms.dimension
     k = 2 * np.pi * parts @ inv(atoms.cell[:d, :d]).T

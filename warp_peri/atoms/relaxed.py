@@ -21,7 +21,7 @@ from scipy.linalg import polar, sqrtm
 from warp_peri.atoms.calculator_noise import ON_SITES, TIMES, Noise, measured, strained
 from warp_peri.core import elastic
 from warp_peri.core.elastic import COUNTED, KNOWN, PAIRS, by_spglib, kinds_of, symmetric_part
-from warp_peri.errors import InputError, warn
+from warp_peri.errors import InputError, Several, warn
 from warp_peri.points.arguments import EV_IN_TPA, is_number
 
 VACUUM = 8.0
@@ -148,7 +148,7 @@ def gap(atoms: ase.Atoms, axis: int) -> tuple[float, float]:
     return float(steps.max() * apart), float(part[steps.argmax()])
 
 
-def crystal_of(atoms: ase.Atoms) -> tuple[np.ndarray, ...]:
+def crystal_of(atoms: ase.Atoms) -> Several:
     """Crystal for spglib: edges, fractional positions, and numbers that tell atoms apart."""
     return np.array(atoms.cell), atoms.get_scaled_positions(), kinds_of(atoms)[0]
 

@@ -1,5 +1,4 @@
-"""Commands that use a model, each with a result for JSON and lines to print; torch and Warp on
-use."""
+"""Commands that use a model, each with a result for JSON and lines to print; torch, Warp on use."""
 
 from __future__ import annotations
 

@@ -210,7 +210,7 @@ def parse(words: Sequence[str]) -> Namespace:
     )
 
 
-def words_for(parser: Parser, values: Mapping[str, Any]) -> list[str]:
+def words_for(parser: Parser, values: Values) -> list[str]:
     """Words of a line that has these values."""
     words: list[str] = []
     for action in parser._actions:

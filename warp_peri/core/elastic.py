@@ -16,7 +16,7 @@ import numpy as np
 from numpy.linalg import eigvalsh, inv, lstsq, solve, svd
 from numpy.typing import ArrayLike
 
-from warp_peri.errors import InputError, optional
+from warp_peri.errors import InputError, Several, optional
 from warp_peri.points.arguments import Pair, checked, typed
 from warp_peri.points.points import grid_places, unit_vectors
 
@@ -169,7 +169,7 @@ def kinds_of(atoms: Any, names: Sequence[str] | None = None) -> Pair:
     return kinds.reshape(-1), first
 
 
-def by_spglib(ask: str, crystal: tuple[np.ndarray, ...], precision: float, **how: bool) -> Any:
+def by_spglib(ask: str, crystal: Several, precision: float, **how: bool) -> Any:
     """Call spglib's `ask` on a crystal (edges of its cell as rows [Å], fractional coordinates,
     species), sites within `precision` [Å]; InputError where spglib is missing, or finds nothing."""
     spglib = optional(
@@ -185,7 +185,7 @@ def by_spglib(ask: str, crystal: tuple[np.ndarray, ...], precision: float, **how
     return found
 
 
-def primitive_cell(crystal: tuple[np.ndarray, ...], precision: float) -> Any:
+def primitive_cell(crystal: Several, precision: float) -> Any:
     """Primitive cell of a crystal, in the axes given."""
     return by_spglib("standardize_cell", crystal, precision, to_primitive=True, no_idealize=True)
 

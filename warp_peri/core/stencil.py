@@ -19,7 +19,7 @@ import warp as wp
 from numpy.linalg import eigh, eigvalsh, inv, norm, svd
 
 from warp_peri.core.elastic import directions, orbit_grid, symmetric_part
-from warp_peri.errors import InputError, Shape
+from warp_peri.errors import InputError, Several, Shape
 from warp_peri.kernels.micromodulus import rows
 from warp_peri.points.arguments import ArrayMap, Pair
 from warp_peri.points.families import HORIZON_TOLERANCE, nodes_in_period
@@ -192,7 +192,7 @@ def zone_sample(group: np.ndarray, dimension: int, intervals: int) -> np.ndarray
 
 def ratios(
     steps: np.ndarray, tensors: np.ndarray, phase: np.ndarray, wave: np.ndarray | None = None
-) -> tuple[np.ndarray, ...]:
+) -> Several:
     """Λmin D/s h^−2 at k h = `phase`, [K], and its eigenvectors, [K, d]; `wave`: known bend."""
     symbol = np.tensordot(bend(phase, steps) if wave is None else wave, tensors, 1)
     value, vector = eigh(symbol)

@@ -17,7 +17,7 @@ from scipy.sparse.linalg import LinearOperator, gmres, splu
 from torch.autograd import forward_ad
 
 from warp_peri.core.elastic import in_shape_of
-from warp_peri.errors import InputError, Values, quietly
+from warp_peri.errors import InputError, Several, Values, quietly
 from warp_peri.points.arguments import Numbers, as_array, check_mapping, check_shape, plain, typed
 from warp_peri.protocols import SINGULAR, OperatorBase, placed, uncompiled
 from warp_peri.runtime import one_thread
@@ -74,7 +74,7 @@ class _Made(torch.autograd.Function):
 _made: Callable[..., Any] = _Made.apply
 
 
-def _arrays(tensors: Iterable[torch.Tensor]) -> tuple[np.ndarray, ...]:
+def _arrays(tensors: Iterable[torch.Tensor]) -> Several:
     return tuple(one.detach().contiguous().numpy() for one in tensors)
 
 
@@ -273,7 +273,7 @@ def _rest(operator: Any, b: np.ndarray, u: np.ndarray, solver: Any) -> Any:
     return operator.solve(b, u, solver)
 
 
-def _pulled(operator: Any, u: np.ndarray, g: np.ndarray, solver: Any) -> tuple[np.ndarray, ...]:
+def _pulled(operator: Any, u: np.ndarray, g: np.ndarray, solver: Any) -> Several:
     """Adjoint L′⁻ᵗ g on the interior [..., I, d], L′ at the answer, and derivatives to b and u."""
     one, inside = operator.shape, operator.points.interior
     axis = -len(one)

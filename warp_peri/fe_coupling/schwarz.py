@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.sparse.linalg import LinearOperator, aslinearoperator, gmres
 
 from warp_peri.core.stencil import numbers_at
-from warp_peri.errors import InputError, warn
+from warp_peri.errors import InputError, Several, warn
 from warp_peri.fe_coupling.boundary_elements import BodyLoads, Field, Moduli, Rim, RimProblem
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_operator import LPSOperator
@@ -363,9 +363,7 @@ class Schwarz:
         record.bulk_residual = self.bulk.residual(b, u_bulk)
         return of_rim, u_bulk, record
 
-    def transposed(
-        self, by_rim: np.ndarray, by_bulk: np.ndarray, tolerance: float
-    ) -> tuple[np.ndarray, ...]:
+    def transposed(self, by_rim: np.ndarray, by_bulk: np.ndarray, tolerance: float) -> Several:
         """Derivatives by f, given and b, of derivatives by u on rim [n, d] and bulk [N, d]."""
         by_rim = by_rim + self.to_bulk.T @ by_bulk[self.bulk.collar]
         by, n = np.append(by_rim, by_bulk[self.bulk.inside]), by_rim.size

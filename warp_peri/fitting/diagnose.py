@@ -148,8 +148,7 @@ def _families(samples: Samples, operator: Any, drawn: np.ndarray, residual: floa
     stencil, group = stencil_of(model, h, "diagnose")
     far = max(norms(stencil.steps).max(), model.horizon / h)
     symmetry = getattr(model, "symmetry", "isotropic")
-    turn = getattr(model, "orientation", np.eye(d))
-    allowed = allowed_tensors(symmetry, turn)
+    allowed = allowed_tensors(symmetry, getattr(model, "orientation", np.eye(d)))
     allowed = qr(allowed.reshape(len(allowed), -1).T)[0]
     bonds, wide = (invariant_basis(r, group) for r in (model.horizon / h, far))
     grid = grid_of(samples.points, wide.steps, least=stencil.reach)

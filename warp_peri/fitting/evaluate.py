@@ -64,8 +64,7 @@ def evaluate(
             per-sample values E_res_samples, E_res_abs_samples, E_u_samples, E_shape_samples; and of
             a transferred model transferred_from, the spacing [Å] of the lattice that it comes from.
             For a nonlinear model also linear_solves and largest_gradient, the most linear solves
-            that a sample took and its largest |H|, and unique, whether all answers are proven to be
-            the only ones.
+            and |H| of a sample, and unique, whether all answers are proven to be the only ones.
 
     Samples whose interior carries no load, or one that is rounding, have no E_res, rigid motions no
     E_shape, those at rest no E_u: None, and the means are those of the others; None where there are
@@ -149,9 +148,7 @@ class Run:
         """Mean of one error of `evaluate` over the samples of each set, by the set's name."""
         return {name: table[error] for name, table in self.tables.items()}
 
-    def save(
-        self, folder: Path, metrics: Values, *, data: Path, provenance: Mapping[str, Any]
-    ) -> Any:
+    def save(self, folder: Path, metrics: Values, *, data: Path, provenance: Values) -> Any:
         """Write model.json, with its errors, the hash of its data file and more provenance, and
         metrics.json into a folder, made if missing; OSError where a file cannot be written."""
         material = self.fit.material

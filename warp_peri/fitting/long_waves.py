@@ -25,7 +25,7 @@ from warp_peri.core.elastic import (
 )
 from warp_peri.core.stencil import invariant_basis
 from warp_peri.core.torch_bridge import own_torch
-from warp_peri.errors import InputError, warn
+from warp_peri.errors import InputError, Several, warn
 from warp_peri.fitting.regression import over_loads, relative, rows
 from warp_peri.points.arguments import Pair
 from warp_peri.points.families import neighbour_table
@@ -56,7 +56,7 @@ def long_wave_equations(samples: Samples, allowed: np.ndarray) -> Pair:
     return R.reshape(-1, R.shape[-1]), y.ravel()
 
 
-def long_wave_rows(samples: Samples, allowed: np.ndarray, modes: int) -> tuple[np.ndarray, ...]:
+def long_wave_rows(samples: Samples, allowed: np.ndarray, modes: int) -> Several:
     """Test fields v [V, n] with up to `modes` half waves each way, the numbers of their nodes, and
     −Σ u·div(C : grad v) of each allowed tensor, [S, V, d, m]."""
     axes = samples.lattice.axes
@@ -373,7 +373,7 @@ def judged(
     return told, float((own / np.maximum(best, SMALL)).max())
 
 
-def _crossed(equations: Sequence[tuple[np.ndarray, ...]], mix: np.ndarray) -> float:
+def _crossed(equations: Sequence[Several], mix: np.ndarray) -> float:
     """‖R M p − y‖ / ‖y‖ of each part with the other's p (one part: its own); or infinity."""
     parts = [(R @ mix, y) for R, y in equations]
     if not all(told_apart(R) for R, _ in parts):

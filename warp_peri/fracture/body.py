@@ -13,16 +13,10 @@ import numpy as np
 from numpy.linalg import eigvalsh, inv, norm
 from numpy.typing import ArrayLike
 
-from warp_peri.errors import InputError, warn
+from warp_peri.errors import InputError, InSpace, warn
 from warp_peri.points.arguments import Positive, check_nodes, checked, typed, typed_methods
 from warp_peri.points.families import HORIZON_TOLERANCE, BondClasses, bond_classes, neighbour_table
-from warp_peri.points.points import (
-    InSpace,
-    check_dimensions,
-    checked_positions,
-    grid_places,
-    straight_steps,
-)
+from warp_peri.points.points import check_dimensions, checked_positions, grid_places, straight_steps
 
 HAIR = 1e-3
 """How far a crack through a row of nodes is moved to one side, in spacings."""

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from warp_peri.core.elastic import lattice_group
 from warp_peri.core.proof import largest
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, Several
 from warp_peri.fracture.body import LatticeBody
 from warp_peri.kernels import damage as kernels
 from warp_peri.kernels.bonds import stay
@@ -191,7 +191,7 @@ class SurfaceCorrection:
 
 def mean_gradients(
     xi: np.ndarray, there: np.ndarray, stiffness: np.ndarray, share: np.ndarray, least: float
-) -> tuple[np.ndarray, ...]:
+) -> Several:
     """Mean gradients (C26) of nodes with the bonds `there` [n, B] of a ball, xi [B, d].
 
     Returns where the bonds span space, with eigenvalues of the shape tensor above `least` of a

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 import warp_peri.core as core
 import warp_peri.fracture as fracture
 from warp_peri.core.elastic import checked_symmetric, symmetric_part
-from warp_peri.errors import ALONE, InputError, Values, agreed, warn
+from warp_peri.errors import ALONE, InputError, Several, Values, agreed, warn
 from warp_peri.files.checkpoint import fingerprint, same
 from warp_peri.fracture.body import (
     LatticeBody,
@@ -463,7 +463,7 @@ def crack_opening_volume(solution: Solution, normal: Sequence[float] | None = No
     return float(volume * solution.operator.body.spacing ** (d - 1))
 
 
-def _columns(solution: Solution, normal: ArrayLike | None) -> tuple[np.ndarray, ...]:
+def _columns(solution: Solution, normal: ArrayLike | None) -> Several:
     """Nodes below and above a crack, joined by a bond that it broke, and the normal."""
     if not hasattr(solution.operator, "body"):
         raise InputError("solution: expected that of a Cracked, got another's")

@@ -24,7 +24,7 @@ from warp_peri.errors import InputError, Values, called, hold
 from warp_peri.files import atomic
 from warp_peri.materials.lps import LPSMaterial, bernstein_basis
 from warp_peri.points import arguments
-from warp_peri.points.arguments import USUAL, Pair, Positive, Units, checked, plain, typed
+from warp_peri.points.arguments import USUAL, Numbers, Pair, Positive, Units, checked, plain, typed
 from warp_peri.points.families import bond_classes
 
 DEGREES = ((10, 0.0), (20, 0.0), (40, 0.0), (60, 0.0), (80, 1e-6))
@@ -59,7 +59,7 @@ class InfluenceFunction:
     """
 
     function: Callable[..., ArrayLike]
-    parameters: Mapping[str, Any] = field(default_factory=dict)
+    parameters: Numbers = field(default_factory=dict)
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -237,7 +237,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
         Args:
             points: N nodes x.
             lam, mu: numbers, one value a node, shape [N], or functions of x [N, d], of which λ +
-                2μ/d and μ are averaged harmonically over a ball of δ/2 around each node; or None.
+                2μ/d and μ are averaged harmonically over a ball of δ/2 around nodes; None: its own.
 
         Raises InputError for others, and where μ > 0 and λ + 2μ/d > 0 do not hold everywhere.
         """

@@ -21,7 +21,7 @@ from scipy.special import comb
 
 from warp_peri import runtime
 from warp_peri.core.stencil import numbers_at, row_pieces
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, Several
 from warp_peri.kernels.bonds import stay
 from warp_peri.kernels.influence import BLOCK, influence
 from warp_peri.kernels.lps import LANES, Balls, Sums, by_influence, stiffnesses, struct, sweeps
@@ -103,7 +103,7 @@ class Bonds:
         self.kept: tuple[Any, Law] | None = None
 
     @cached_property
-    def listing(self) -> tuple[np.ndarray, ...]:
+    def listing(self) -> Several:
         """Owner, far end (negative: broken or nowhere), vector, and class index of each bond."""
         families, points, end = self.families, self.points, self.families.neighbour
         owner = np.repeat(np.arange(self.nodes), np.diff(families.row))
@@ -186,7 +186,7 @@ class Bonds:
         return self._laid(np.array([0, len(steps)]), *of_bond, True, pairs[:0], node, home, pieces)
 
     @cached_property
-    def lengths(self) -> tuple[np.ndarray, ...]:
+    def lengths(self) -> Several:
         """Lengths r that K has a value of, their logarithms, and which of them each class has, [C]:
         of scattered points a bond has that of the bond back."""
         families, of = self.families, np.arange(len(self.families.r))
@@ -232,7 +232,7 @@ class Bonds:
         owner, end, _, _ = self.listing
         return np.flatnonzero((end >= 0) & np.isin(owner, cut))
 
-    def inverted(self, kw: np.ndarray) -> tuple[np.ndarray, ...]:
+    def inverted(self, kw: np.ndarray) -> Several:
         """K W and S⁻¹ ξ, (40–41), of the bonds `left`, and the indices of their owners in `cut`."""
         owner, _, xi, kind = (one[self.left] for one in self.listing)
         place, d, weight = np.searchsorted(self.families.cut, owner), self.dimension, kw[kind]
@@ -384,7 +384,7 @@ class Law:
         shared()
         ready.append((shared, ends, of))
 
-    def force(self, u: np.ndarray) -> tuple[np.ndarray, ...]:
+    def force(self, u: np.ndarray) -> Several:
         """L u, and the laid-out displacement and dilatations, which a gradient reads."""
         bonds, size, places = self.bonds, len(u), len(self.bonds.layout.node)
         d = bonds.dimension
@@ -393,7 +393,7 @@ class Law:
         self._sweep(self.forward, ("laid", "needed", "forces"), u, planes, theta, Lu)
         return Lu, planes, theta
 
-    def transposed(self, g: np.ndarray, *, asked: bool = True) -> tuple[np.ndarray, ...]:
+    def transposed(self, g: np.ndarray, *, asked: bool = True) -> Several:
         """Lᵗ g on all nodes if asked, g laid out, and its dilatation by the transpose."""
         bonds, layout, size, d = self.bonds, self.bonds.layout, len(g), self.bonds.dimension
         seeds, tau = (np.zeros((size, n * len(layout.node))) for n in (d, 1))

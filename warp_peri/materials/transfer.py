@@ -41,8 +41,7 @@ def wave_rows(
     largest_wave: float = LARGEST_WAVE,
 ) -> Pair:
     """Rows R and y that fit p = C h² [stress] to D₀(k): waves up to `largest_wave` = |k| h, very
-    long ones, and lightly the rest of the zone. InputError for a D₀ that is not symmetric there, or
-    not positive."""
+    long ones, and lightly the rest of the zone. InputError for D₀ not symmetric and positive."""
     d = bonds.dimension
     size = largest_wave * (0.02 + 0.98 * ((np.arange(WAVES) * 0.6180339887) % 1))
     grid = orbit_grid(ZONE_INTERVALS[d], group, d)

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
 
-from warp_peri.errors import InputError, Shape, agreed, hold
+from warp_peri.errors import InputError, InSpace, Shape, agreed, hold
 from warp_peri.files.checkpoint import nodal_fingerprint, same
 from warp_peri.fracture.body import lattice_body
 from warp_peri.fracture.problems import Cracked, in_steps
@@ -40,7 +39,7 @@ from warp_peri.points.arguments import (
     taken,
 )
 from warp_peri.points.families import HORIZON_TOLERANCE
-from warp_peri.points.points import LATTICE_TOLERANCE, InSpace, PointsLike, checked_axis, nodes_of
+from warp_peri.points.points import LATTICE_TOLERANCE, PointsLike, checked_axis, nodes_of
 from warp_peri.runtime import ranks_started
 from warp_peri.solvers.motion import Motion, Recorder
 from warp_peri.solvers.solution import CG, TOLERANCE, Solution, Solver, by_sample, refuse_solver
@@ -326,7 +325,7 @@ LOCAL = "record", "progress"
 """Those that any rank may have or not: no other waits for them."""
 
 
-def alike(material: Any, problem: Any, options: Mapping[str, Any]) -> None:
+def alike(material: Any, problem: Any, options: Options) -> None:
     """Raise InputError on all ranks if they were given different steps, materials or cracks."""
     comm, which = problem.points.comm, problem.points.which
     with agreed(comm):

@@ -183,8 +183,7 @@ class Placed(OperatorBase):
         """Derivative of the force at u along v, both [N, 2] or [S, N, 2]."""
         fields, along = self._taken(u), self._taken(v)
         check_shape("v, along u", along, fields.shape)
-        pairs = zip(fields, along.numpy())
-        found = [self.tangent(field) @ one.ravel() for field, one in pairs]
+        found = [self.tangent(field) @ one.ravel() for field, one in zip(fields, along.numpy())]
         return np.reshape(found, (*np.shape(v)[:-2], -1, 2))
 
     def vjp(self, u: Any, w: Any) -> np.ndarray:
@@ -234,8 +233,7 @@ class Placed(OperatorBase):
         with torch.no_grad():
             pull = self._pull(*self.tension(fields))
             stress = torch.einsum("sibx,by->sixy", pull, torch.as_tensor(self.xi, dtype=pull.dtype))
-        size = self.points.spacing**2 / 2
-        return in_shape_of(u, size * stress.double().numpy())
+        return in_shape_of(u, self.points.spacing**2 / 2 * stress.double().numpy())
 
     def tension(self, u: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Force states [stress/length³] of interior nodes' bonds [S, A], and directions Y/|Y|."""

@@ -219,8 +219,7 @@ def train(
             bar.update()
             last = history.epochs == epochs
             if last or history.epochs % LOOKED == 0:
-                other = run.look(error)
-                bar.set_postfix(train=f"{100 * error:.2f} %", val=f"{100 * other:.2f} %")
+                bar.set_postfix(train=f"{100 * error:.2f} %", val=f"{100 * run.look(error):.2f} %")
             if last or time.perf_counter() - saved > SAVED:
                 run.save(file)
                 saved = time.perf_counter()

@@ -188,7 +188,7 @@ def check_mapping(name: str, value: Any) -> None:
         raise InputError(f"{name}: expected values by name, as {{'name': …}}, got {value!r:.60}")
 
 
-def check_parameters(function: Callable[..., Any], values: Mapping[str, Any]) -> None:
+def check_parameters(function: Callable[..., Any], values: Numbers) -> None:
     """Raise InputError unless a function takes one argument and values by name."""
     try:
         with suppress(ValueError):  # of what does not tell its arguments
@@ -277,7 +277,7 @@ def typed_methods(kind: Kind) -> Kind:
     return kind
 
 
-def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> Options:
+def check_arguments(call: Callable[..., Any], given: Options) -> Options:
     """Check arguments against annotations and return them, whole numbers of other types as int;
     InputError naming the first of another kind.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -303,7 +303,7 @@ def save_dataset(path: StrPath, dataset: Dataset) -> None:
             _write(group, _arrays(samples))
 
 
-def _write(place: Any, values: Mapping[str, Any]) -> None:
+def _write(place: Any, values: Values) -> None:
     """Write arrays or attributes that are not None into a file; text as UTF-8 of fixed length."""
     for key, value in values.items():
         if value is not None:

@@ -14,9 +14,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from warp_peri.errors import Arrays, InputError, Rows, Shown, Values, hold, warn
+from warp_peri.errors import Arrays, InputError, InSpace, Rows, Shown, Values, hold, warn
 from warp_peri.points.arguments import as_array, checked, typed
-from warp_peri.points.points import InSpace, checked_positions, grid_places
+from warp_peri.points.points import checked_positions, grid_places
 
 REST = "rest"
 """Name of the edges of an outline, or the faces of a surface, that have no other."""

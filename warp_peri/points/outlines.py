@@ -128,8 +128,7 @@ def mesh_outline(outer: Outline, holes: Sequence[Outline] = (), *, size: Positiv
     by = math.ldexp(1.0, SMALL - math.frexp(size)[1])
     geometry = netgen.SplineGeometry()
     for outline in outlines:
-        edges = np.ptp(_rim(outline)) / (outline.size or np.inf)
-        check_nodes("size", (edges, AROUND))
+        check_nodes("size", (np.ptp(_rim(outline)) / (outline.size or np.inf), AROUND))
         _add(geometry, outline, size, by, inside=outline is outer)
     try:
         made = geometry.GenerateMesh(maxh=by * size, grading=GRADING)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.linalg import norm, qr, svd
 from scipy.spatial import cKDTree
 
-from warp_peri.errors import Held, InputError, Rows, Shape, Shown, Values, hold, warn
+from warp_peri.errors import Held, InputError, InSpace, Rows, Shape, Shown, Values, hold, warn
 from warp_peri.points.arguments import (
     LARGEST,
     USUAL,
@@ -56,17 +56,6 @@ class Lattice(NamedTuple):
 
     steps: np.ndarray
     axes: np.ndarray
-
-
-class InSpace:
-    """Base of what has positions x, shape [N, d]."""
-
-    x: np.ndarray
-
-    @property
-    def dimension(self) -> int:
-        """Dimension of space: 2 or 3."""
-        return int(self.x.shape[1])
 
 
 @typed

@@ -124,8 +124,7 @@ class Solution(Shown):
         iterations: of each sample, as many as the method counts; 0 of a factorisation.
         proven: what is proven of the answer, in one sentence; None for nothing.
         warnings: what was said on the way.
-        details: what only this material or problem knows: records of the solver, of a body its
-            elements and lattice.
+        details: of this material or problem: records of the solver, elements and lattice of a body.
         measured: the relative residual, where the method finds it itself.
 
     Its `stress` and `energy` raise InputError where the material has none.
@@ -252,9 +251,8 @@ def told(solved: Callable[[], Solution]) -> Solution:
 
 
 def by_sample(
-    operator: Any, u: Any, load: Any, records: Any, method: str = "newton",
-    proven: str | None = None,
-) -> Solution:  # fmt: skip
+    operator: Any, u: Any, load: Any, records: Any, method: str, proven: str | None = None
+) -> Solution:
     """Solution of samples solved in turn; details are `records`, with residuals and iterations."""
     measured = max((one.residual for one in records), default=None)
     counts = tuple(one.iterations for one in records)
