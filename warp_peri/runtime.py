@@ -200,7 +200,8 @@ def launch_slices(
 class Shared:
     """A kernel that shares its work out among threads, packed once. Its first argument, which
     `given` leaves out, counts what has been taken and done of all PHASES, see kernels/bonds.py;
-    helpers `stay` in a kernel a while to serve what comes next. The work, 1 a node, is of all."""
+    helpers `stay` in a kernel a while to serve what comes next. The work, 1 a node, is of all
+    phases."""
 
     def __init__(self, kernel: Any, given: Sequence[Any], work: int, stay: Any) -> None:
         self._helpers = max(1, min(_count, work // SLICE)) - 1

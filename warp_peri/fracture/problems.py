@@ -154,7 +154,8 @@ class Cracked:
                 (BreakingBody); `v` (its start). The histories are the ledger's and those of
                 `watch`; the details are Broken.
             events: slow growth in any positive solid, `no_fail` and `progress` (C7).
-            loads, line: SoftBody.pull of a SofteningMaterial, with `no_fail` and its options.
+            loads, line: SoftBody.pull of a SofteningMaterial, with `no_fail` and that function's
+                options.
         """
         if self.pressure is not None:
             raise InputError("pressure: a Cracked under pressure is solved at rest; see Injected")

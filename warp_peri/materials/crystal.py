@@ -227,7 +227,8 @@ class StencilMaterial(Record):
 
     def on(self, points: Points | Samples, *, dtype: Any = np.float64) -> TensorOperator:
         """Build the operator on nodes of the material's own spacing, its steps along their axes;
-        for other spacings, and a crystal that stays as the lattice turns, transfer_to_lattice.
+        for other spacings, and for a crystal that stays when the lattice turns, see
+        transfer_to_lattice.
 
         Args:
             points: lattice nodes with a collar, or periodic, in the material's units.

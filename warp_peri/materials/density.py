@@ -217,7 +217,8 @@ class Density:
         parameters: where the fit starts, by name.
         loss: "forces" fits L u = b; "displacement" solves for u, for noise or few loads.
 
-    `fit` raises InputError for samples without loads or displacement, and unused parameters.
+    `fit` raises InputError for samples without loads or displacement, and parameters that change
+    nothing.
 
     >>> def svk(E, lam, mu):
     ...     return lam / 2 * E.diagonal(dim1=-2, dim2=-1).sum(-1) ** 2 + mu * (E * E).sum((-1, -2))

@@ -354,7 +354,8 @@ def load_dataset(path: StrPath, *, units: Units | None = None) -> Dataset:
     A file that names no units is taken to be in Å and TPa, with a warning. With `units`, as
     ("angstrom", "TPa"), the numbers are converted; the mass density stays as it is. Nothing outside
     the file is read: links and arrays kept in other files are refused. Sizes are checked before
-    memory is taken, and contents against a hash. Raises InputError naming what is wrong.
+    memory is taken, and the contents against the hash, if there is one. Raises InputError naming
+    what is wrong.
     """
     check_regular(path)
     try:

@@ -93,7 +93,8 @@ class NonlinearRecord:
         largest_gradient: largest |H| within δ of the unknowns.
         unique: whether |H| stays below the proven strain, so that no other solution does.
         eigenvalue: smallest eigenvalue of the symmetric part of the tangent at the answer
-            [stress/length²]; above zero the answer is stable. None unasked, and above DIRECT nodes.
+            [stress/length²]; above zero the answer is stable. None where not asked for, and above
+            DIRECT nodes.
         converged: whether the residual is within the tolerance.
         followed: whether stable equilibria lead to it from rest along the load, as far as the steps
             tell; false for another minimum, found by going down.
