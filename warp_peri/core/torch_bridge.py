@@ -343,7 +343,8 @@ class TorchModule(torch.nn.Module):
         networks: of a neural operator, the material itself with its parameters.
 
     Other materials have no parameters and give the gradient in u alone. Parameters are float64;
-    with them the second derivative is refused. InputError as `on`, and for another u's shape.
+    with them the second derivative is refused. Raises InputError as `on`, and for a u that does not
+    fit.
 
     >>> tuple(wp.TorchModule(model, points)(torch.from_numpy(u)).shape)
     (12, 121, 2)
