@@ -49,6 +49,7 @@ TAGS = (
 ENTITY = '<?xml version="1.0"?><!DOCTYPE a [<!ENTITY e "x">]><VTKFile type="UnstructuredGrid"/>'
 HOSTILE = [
     *(text.encode(code) for text in (*TAGS, ENTITY) for code in ("utf-8", "utf-16")),
+    b"<!-- <AppendedData>_ -- </AppendedData> -->" + ENTITY.encode(),
     b"anchors: &a [1]\nb: [*a, *a]", b"[" * 100_000, pickle.dumps(Bomb()), b"",
     archive(a=np.array([Bomb()], dtype=object)), archive(a=np.ones(300))[:-900],
 ]  # fmt: skip
