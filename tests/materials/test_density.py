@@ -96,7 +96,7 @@ def test_what_torch_does_not_see_of_a_parameter_has_no_gradient(told):
     hidden = lambda E, a: blatz_ko(E, MU + told(taken(a)))
     seen = lambda E, a: blatz_ko(E, taken(a).exp())
     half = lambda E, a: hidden(E, a) + blatz_ko(E, taken(a))
-    of_sum = lambda E, a: blatz_ko(E, MU) + E.sum((-1, -2)) ** 2 * told(taken(a))
+    of_sum = lambda E, a: blatz_ko(E, MU) + E.sum((-1, -2)) ** 2 * float(told(taken(a)))
     force = [of(of_sum, parameters={"a": a}).on(points)(u) for a in (0.0, 1.0)]
     across = noise(points, seed=1)[points.interior]  # along which all of the change is nothing
     across -= (change := force[1] - force[0]) * np.vdot(change, across) / np.vdot(change, change)
