@@ -85,10 +85,11 @@ def main(arguments: list[str] | None = None) -> int:
     windows = (np.transpose(runs[k : k + width]) for k in range(len(runs) - width + 1))
     speeds = [np.polyfit(part[0], part[1], 1)[0] / rayleigh for part in windows]
     numbers = {"nodes": len(x), "ledger": run.missing, "branch": branch_point(x, phi, h)}
+    title = f"The crack has {'not yet ' * (numbers['branch'] is None)}split in two"
     print(json.dumps(numbers | {"speed_over_rayleigh": max(speeds, default=None)}))
     figure, ax = panels(8, 3.6)
     shown = ax.scatter(1e3 * x[:, 0], 1e3 * x[:, 1], c=phi, s=4, cmap="magma_r", vmin=0, vmax=0.6)
-    ax.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title="The crack has split in two")
+    ax.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title=title)
     figure.colorbar(shown, ax=ax, label="share of broken bonds")
     save_figure(figure, given.out / "damage.png", dpi=120)
     return 0

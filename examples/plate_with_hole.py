@@ -20,7 +20,7 @@ from examples.exact import hoop_stress, plate_with_hole
 from examples.figures import panels, save_figure
 from tools.options import Options
 from warp_peri.crystals import crystal_from_lps
-from warp_peri.errors import exit_status
+from warp_peri.errors import InputError, exit_status
 from warp_peri.methods import Coupling
 from warp_peri.points.arguments import Positive
 from warp_peri.points.outlines import Circle, box, mesh_outline
@@ -38,7 +38,7 @@ class Moduli:
 
 def main(arguments: list[str] | None = None) -> int:
     options = {
-        "model": (ROOT / "runs/graphene_0K/model.json", "of a linear solid"),
+        "model": (ROOT / "runs/graphene_0K/model.json", "of an LPS"),
         "radius": (40.0, "of the hole [Å]", Positive),
         "half": (100.0, "half the plate's width [Å]", Positive),
         "size": (2.0, "of triangles at the hole [Å]", Positive),
@@ -47,6 +47,8 @@ def main(arguments: list[str] | None = None) -> int:
     }
     given = Options(__doc__, "plate_with_hole", options=options).parse_args(arguments)
     model, h = wp.load(given.model), given.spacing
+    if not isinstance(model, wp.LPSMaterial):
+        raise InputError(f"model: expected an LPSMaterial, got {type(model).__name__}")
     if not model.is_certified_on(h) or given.horizon != model.horizon:
         model = wp.transfers.on_lattice(model, spacing=h, largest_horizon=given.horizon)
     moduli = Moduli(model, h)

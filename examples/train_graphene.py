@@ -60,6 +60,8 @@ OPTIONS: dict[str, tuple[Any, ...]] = {
 def run(given: argparse.Namespace) -> None:
     """The whole main job, whose results replace those of the same settings alone."""
     begin = time.perf_counter()
+    if given.data and given.temperature:
+        raise InputError("temperature: expected none beside data, which have their own")
     given.options["data"] = path = given.data or made_data(given)
     with writing(given) as start:
         start()
@@ -69,6 +71,8 @@ def run(given: argparse.Namespace) -> None:
 def learn(given: argparse.Namespace, path: Path, begin: float) -> None:
     """Results from a data file, and what is printed of them; the time since `begin` is told."""
     data = wp.load(path)
+    if "temperature" not in data.provenance:
+        raise InputError(f"{path}: expected data of tools/make_graphene.py or make_thermal.py")
     sets = sets_at(data, given.spacing)
     noise, seconds = sets.pop("noise", None), {"data": time.perf_counter() - begin}
     conditions = wp.methods.StabilityConditions(given.conditions)

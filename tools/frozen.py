@@ -36,6 +36,7 @@ import torch
 from tools.frozen_cases import CASES, FOLDER, Absent
 from tools.options import Options
 from warp_peri.errors import InputError, exit_status
+from warp_peri.files.atomic import write_text
 from warp_peri.runtime import set_num_threads
 
 RECORD = FOLDER / "record.json"
@@ -186,7 +187,7 @@ def record(only: re.Pattern[str]) -> int:
     lines = [f"{json.dumps(n)}: {json.dumps(e)}" for n, e in sorted((rest | found).items())]
     start = json.dumps({"commit": commit} | machine(), indent=1)[:-2]
     body = ",\n  ".join(lines)
-    RECORD.write_text(f'{start},\n "entries": {{\n  {body}\n }}\n}}\n')
+    write_text(RECORD, f'{start},\n "entries": {{\n  {body}\n }}\n}}\n')
     print(f"{len(lines)} entries, {RECORD.stat().st_size / 1000:.0f} kB")
     return 0
 

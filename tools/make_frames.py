@@ -56,10 +56,14 @@ def write_frames(folder: Path, *, noise: float = NOISE, seed: int = 7) -> None:
 
 def main() -> None:
     """Write the frames from a shell."""
-    parser = Options(__doc__, options={"noise": (NOISE, "[pixels]", NotNegative)})
+    parser = Options(__doc__, options={
+        "noise": (NOISE, "[pixels]", NotNegative), "overwrite": (False, "frames that are there"),
+    })  # fmt: skip
     parser.add_argument("folder", type=Path)
     given = parser.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)
+    if any(given.folder.glob("frame*.csv")) and not given.overwrite:
+        parser.error(f"folder: {given.folder} has frames already; name another, or --overwrite")
     write_frames(given.folder, noise=given.noise)
 
 

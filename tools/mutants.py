@@ -21,6 +21,7 @@ from typing import Annotated
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 from tools.options import Options
+from warp_peri.files.atomic import write_text
 from warp_peri.points.arguments import Bound
 
 NET = ["tests/conformance", "tests/gradients"]
@@ -75,7 +76,7 @@ def main() -> None:
                 path.write_text(whole, encoding="utf-8")
             print(number, found[key] or f"SURVIVES: {fault['breaks']}", flush=True)
             if given.json:
-                given.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+                write_text(given.json, json.dumps(found, indent=1) + "\n")
     left = [number for number in chosen if not found[str(number)]]
     print(f"caught {len(chosen) - len(left)} of {len(chosen)}; survivors: {left}")
     sys.exit(bool(left))

@@ -92,6 +92,7 @@ def test_moduli_that_nothing_has_or_tells_are_named():
         "^tensor: expected C_ijkl": {"tensor": C * u},
         "^moduli: expected symmetric": {"tensor": C * C[..., :1, :1]},
         "^tensor: expected shape": {"tensor": u},
+        "^tensor: expected that of the symbol": {"tensor": 1e3 * C},
         "^tensor, orientation: expected": {"tensor": None},
         "^stress: expected": {"stress": u},
         "^largest_wave: expected": {"largest_wave": -2.0},

@@ -1,6 +1,7 @@
 """Errors of a model on data, against their definitions; bands of the bootstrap on known truth."""
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -91,7 +92,7 @@ def test_the_error_of_shape_does_not_see_rigid_motion(points):
     assert plain["E_shape"] > plain["E_u"]
 
 
-@parametrize("use", [lambda seen: evaluate(MODEL, seen), LPS(HORIZON, Bernstein(1)).learn])
+@parametrize("use", [partial(evaluate, MODEL), LPS(HORIZON, Bernstein(1)).learn])
 def test_displacements_that_were_filled_in_are_told_where_they_count(points, use):
     seen = np.ones(points.u.shape[:2], bool)
     use(replace(points, arrays={"seen": seen}))

@@ -17,6 +17,7 @@ from tests.support.told import assert_refused, each_refused
 from warp_peri import Bernstein, Samples
 from warp_peri.fitting import regression
 from warp_peri.fitting.regression import sample_weights, without_noise
+from warp_peri.fitting.result import check_noise
 from warp_peri.materials import lps_stages
 from warp_peri.materials.lps_law import Products, products, squares
 from warp_peri.materials.lps_stages import CollarResponse, WaveResponse, class_weights
@@ -175,6 +176,7 @@ def test_the_wave_response_is_exact_for_every_parity_and_so_is_its_tangent(clean
 
 def test_what_noise_and_waves_cannot_be_used_is_refused(clean):
     noise, b = fluctuation(clean, 2, SIZE, seed=4), clean.b.copy()
+    check_noise(replace(noise, b=1e-12 * clean.b[:2]), clean)
     each_refused(lambda given: fit(clean, HORIZON, Bernstein(2), noise=given), {
         "at least one field": noise[:0],
         "nodes": replace(noise, points=replace(noise.points, x=noise.x + 0.5)),

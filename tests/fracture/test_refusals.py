@@ -64,6 +64,8 @@ def test_what_cracks_do_not_take_is_refused_by_name():
         "tip: expected the end of a crack along an axis, got": j_at((0, 0), 4, problem=TORN),
         r"tip: .*, got \[-2.0, 0.0\]": j_at((-2, 0), 3, problem=OPEN),
         "three lengths or more a bond apart": released(ONE, TWO, [[(-9, 0), (0.95, 0)]]),
+        "two lengths or more": lambda: fracture.energy_release(
+            MODEL, PROBLEM, [[[(-9, 0), (tip, 0)]] for tip in (0.45, 0.55)]),
         "the same number of polylines": released(ONE, TWO, [*TWO, LINE]),
         "0 ≤ smaller < larger by a spacing of 1 or more, up to 5.5": j_at((0, 0), 9),
         "grip: expected held components": lambda: BreakingBody(solid(), BODY, grip=X),

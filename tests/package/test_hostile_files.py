@@ -21,7 +21,7 @@ from tests.support import filterwarnings, parametrize, refused
 from warp_peri import InputError, atoms, load
 from warp_peri.atoms.dumps import iter_dump, read_structure
 from warp_peri.cli.train import atom_forces
-from warp_peri.files.atomic import read_arrays
+from warp_peri.files.atomic import check_xml, read_arrays
 from warp_peri.points.dataset import load_dataset
 
 MARK = "PWNED"
@@ -94,6 +94,11 @@ def test_no_file_runs_or_passes(name, parse, deep, here):
     with pytest.raises(error):
         parse(here / "pipe" / name)
     assert not [*here.rglob(MARK)]
+
+
+def test_a_document_type_is_found_behind_what_is_no_xml():
+    with refused("without a document type"):
+        check_xml("a.vtu", b"<!-- -- -->" + ENTITY.encode())
 
 
 @parametrize("name", ["phonopy.yaml", "a.cif", "force.csv", "a.vtu"])

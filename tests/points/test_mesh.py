@@ -86,7 +86,7 @@ def test_an_outline_has_its_parts_curves_holes_and_distances():
     assert (mesh.holding(np.array([[3.0, 1], [21, 0]])) == -1).all()
     corners = ((0, 0), (10, 0), (10, 4), (4, 4), (4, 10), (0, 10))
     matrix = np.array(corners[::-1]).view(np.matrix)
-    for given in (corners[::-1], matrix, torch.tensor(matrix), (*corners, corners[0])):
+    for given in (corners[::-1], matrix, torch.tensor(matrix), (*corners, (1e-12, -1e-12))):
         assert size(mesh_outline(Polygon(given), size=2)) == approx(64)
     hole = Polygon(((0, 0), (3, 0), (0, 3)), ("cut",))
     assert set(mesh_outline(Circle(10, name="edge"), [hole], size=1).parts) == {"edge", "cut"}
@@ -177,6 +177,8 @@ def test_a_mesh_holds_what_was_checked_each_face_of_a_part_once():
     twice = {"left": [*made.parts["left"]] * 2}
     mesh = wp.Mesh(made.x.tolist(), np.ma.array(made.cells), made.faces, made.middle, twice)
     assert "left (2)" in repr(mesh)
+    with refused("triangles: expected corners around an area or volume, not 1"):
+        wp.Mesh(made.x, [made.cells[0], [0, 0, 1]], made.faces, made.middle)
     with refused("triangles: expected some, got none"):
         replace(made, cells=made.cells[:0])
 

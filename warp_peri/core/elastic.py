@@ -63,7 +63,9 @@ PAIRS = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2)
 SAME = 1e-3
 """What a name does not allow of an elastic tensor may be this, relative to its largest entry."""
 BROKEN = 1e-8
-"""Relative, that symmetric matrices, or tensors of a symmetry, may break it."""
+"""Relative, that tensors of a symmetry may break it."""
+SINGLE = 1e-6
+"""Relative, that matrices may be less than symmetric: some roundings in single precision."""
 NAMES = {
     2: {"isotropic": "isotropic", "square": "4mm", "orthotropic": "2mm"},
     3: {"isotropic": "isotropic", "cubic": "m-3m", "hexagonal": "6/mmm", "tetragonal": "4/mmm",
@@ -406,9 +408,10 @@ def symmetric_part(A: np.ndarray) -> np.ndarray:
 
 
 def checked_symmetric(name: str, given: Any, shape: Any = None) -> np.ndarray:
-    """Symmetric part of matrices [..., d, d]; InputError as `checked`, and for others."""
+    """Symmetric part of matrices [..., d, d], in single precision too; InputError as `checked`, and
+    for others."""
     A = checked(name, given, float, shape)
-    if np.abs(A - A.mT).max() > BROKEN * np.abs(A).max():
+    if np.abs(A - A.mT).max() > SINGLE * np.abs(A).max():
         raise InputError(f"{name}: expected symmetric matrices")
     return symmetric_part(A)
 

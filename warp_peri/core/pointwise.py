@@ -194,19 +194,23 @@ class Pointwise(Swept):
             def slope(number: Any, graph: bool = False) -> torch.Tensor:
                 return grad(self._energies(E, **{name: number}).sum(), E, create_graph=graph)[0]
 
-            by = 0.0
-            with suppress(LookupError, RuntimeError, TypeError):  # it takes no tensor, or as a key
-                by = grad(slope(one, True), one, along, materialize_grads=True)[0].item()
-                if self._cubic:  # torch sees all of it
-                    return by
+            def seen(along: torch.Tensor) -> float:
+                with suppress(LookupError, RuntimeError, TypeError):  # takes no tensor, or as a key
+                    by = grad(slope(one, True), one, along, materialize_grads=True)[0]
+                    return float(by)
+                return 0.0
+
+            if self._cubic:  # torch sees all of it
+                return seen(along)
             here = slope(value)
-            sides = [(called(what, slope, value + s) - here) * along / s for s in (step, -step)]
-            off = ROUNDING * np.abs(self.stiffness).max() * along.abs().sum() / step
-            off += LOST * abs(sides[0]).sum()
-            least, most = sorted(float(side.sum()) for side in sides)  # which differ at a kink
-            if by < least - off or by > most + off:
+            sides = [(called(what, slope, value + s) - here) / s for s in (step, -step)]
+            up = sides[0].sign()  # along which no parts take each other off
+            off = ROUNDING * np.abs(self.stiffness).max() * float(E.detach().abs().sum()) / step
+            off += LOST * float(sides[0].abs().sum())
+            least, most = sorted(float((side * up).sum()) for side in sides)  # unlike at a kink
+            if not least - off <= seen(up) <= most + off:
                 raise InputError(what)
-            return by
+            return seen(along)
 
         return self._swept(sweep, u, self.on_all(w), total=True)
 

@@ -39,8 +39,12 @@ COPIED = "__reduce__", "__reduce_ex__", "__getstate__"
 """By what an object says how it is copied."""
 CODE = "code consts names varnames argcount posonlyargcount kwonlyargcount exceptiontable"
 """What code is told by."""
-DRAWN = "matplotlib", "logging"
-"""Packages whose objects change as they draw and log, and decide no number."""
+QUIET = (
+    "_csv", "_queue", "_thread", "concurrent.", "logging", "matplotlib.axes", "matplotlib.cbook",
+    "matplotlib.figure", "matplotlib.image", "matplotlib.lines", "sqlite3", "threading", "tqdm",
+    "weakref",
+)  # fmt: skip
+"""Modules whose objects change as they draw, write and wait, and decide no number."""
 _OWN = f"{sysconfig.get_path('stdlib')}/", f"{Path(__file__).parents[1]}/"
 HOMES = ("/site-packages/", "/dist-packages/", *_OWN)
 """Parts of paths of installed packages, of Python's own modules and of this library's."""
@@ -109,7 +113,7 @@ def fingerprint(*parts: Any) -> str:
     Arrays count with kind and shape; data classes (points, samples, settings, problems) with all
     their fields; materials with what their file holds; functions with their code and the values
     that it reads; other objects with their attributes; numbers alike whatever type they are of. The
-    version of the library counts, too. InputError for what C keeps to itself, as a factorisation.
+    version of the library counts, too. What only C knows, as a factorisation, differs.
     """
     return _digest((__version__, *parts), {}).hex()
 
@@ -133,7 +137,7 @@ def _digest(part: Any, known: Known) -> bytes:
 def _spelled(part: Any, known: Known) -> Iterator[bytes]:
     """Bytes that tell a value from others, at last the hashes of what it holds."""
     kind, held = cast(Any, type(part)), list[Any]()
-    users, part = _is_users(kind.__module__), _unwrapped(part)
+    users, part = is_users(kind.__module__), _unwrapped(part)
     if isinstance(part, (int, np.integer, np.bool_)):
         yield repr(int(part)).encode()
     elif isinstance(part, (float, complex, np.inexact)):
@@ -163,7 +167,7 @@ def _spelled(part: Any, known: Known) -> Iterator[bytes]:
     elif inspect.ismodule(part) or isinstance(part, type):
         home = getattr(part, "__module__", part.__name__)
         yield f"{home} {part.__name__}".encode()
-        if _is_users(home):
+        if is_users(home):
             own = {n: v for n, v in vars(part).items() if n[:2] != "__" or inspect.isroutine(v)}
             held = [own, getattr(part, "__bases__", ())]
     elif hasattr(kind, "content"):
@@ -173,7 +177,7 @@ def _spelled(part: Any, known: Known) -> Iterator[bytes]:
         held = [(one.name, getattr(part, one.name, None)) for one in dataclasses.fields(part)]
     else:
         yield kind.__name__.encode()
-        if str(kind.__module__).partition(".")[0] not in DRAWN:
+        if not str(kind.__module__).startswith(QUIET):
             held = [_attributes(part), [getattr(part, n, None) for n in HELD if hasattr(kind, n)]]
             held += _copied(part, any(held))
     if hasattr(kind, "state_dict"):  # of networks
@@ -186,18 +190,14 @@ def _spelled(part: Any, known: Known) -> Iterator[bytes]:
 
 def _copied(part: Any, told: bool) -> Any:
     """What C keeps of an object: by what it is copied but for its attributes, or else as it prints;
-    InputError where that tells nothing, nor do its attributes."""
+    another each time where that tells nothing, nor do its attributes."""
     copied = [getattr(type(part), n) is getattr(object, n) for n in COPIED]
     try:
         return part.__reduce_ex__(4)[: 2 if all(copied) else None]
-    except Exception as error:  # of what is not copied: a lock, a file
+    except Exception:  # of what is not copied: a lock, a file
         text = re.sub(r" at 0x[0-9a-fA-F]+", "", repr(part))
-        hidden = text != repr(part) and not told and type(part).__module__ != "_thread"
-        if hidden or "(vectorized)" in text:
-            raise InputError(
-                f"expected values of which a checkpoint can tell what they hold, got {text:.60}"
-            ) from error
-        return [text]
+        hidden = "(vectorized)" in text or (text != repr(part) and not told)
+        return [os.urandom(16) if hidden else text]
 
 
 def _unwrapped(part: Any) -> Any:
@@ -232,7 +232,7 @@ def _read_by(function: FunctionType) -> Values:
     held = {name: cell.cell_contents for name, cell in cells if cell != CellType()}
     names, loaded, texts, code = set[str](), set[str](), set[str](), [function.__code__]
     spaces, read = [(held, {*held})], {}
-    if _is_users(str(function.__globals__.get("__name__"))):
+    if is_users(str(function.__globals__.get("__name__"))):
         spaces += [(function.__globals__, loaded), (imported := {}, names)]
         for inner in code:  # those of what is defined inside, too
             names |= {*inner.co_names}
@@ -250,7 +250,7 @@ def _read_by(function: FunctionType) -> Values:
         for name in sorted(wanted & space.keys()):
             one = space[name]
             if inspect.ismodule(one):
-                if _is_users(one.__name__) and all(vars(one) is not other for other, _ in spaces):
+                if is_users(one.__name__) and all(vars(one) is not other for other, _ in spaces):
                     spaces += [(vars(one), names | loaded)]
                 one = one.__name__
             read[f"{place} {name}"] = one
@@ -258,7 +258,7 @@ def _read_by(function: FunctionType) -> Values:
 
 
 @cache
-def _is_users(module: Any) -> bool:
+def is_users(module: Any) -> bool:
     """Whether a module is of no installed package: a script, a notebook, a file beside it."""
     file = getattr(sys.modules.get(module), "__file__", None)
     known = any(home in file for home in HOMES) if file else module in sys.stdlib_module_names

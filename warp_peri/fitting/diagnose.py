@@ -21,6 +21,7 @@ from warp_peri.fitting.long_waves import gradients
 from warp_peri.fitting.regression import forces, norms
 from warp_peri.fitting.result import LOUD, check_noise, left_by
 from warp_peri.points.arguments import typed
+from warp_peri.points.dataset import warn_of_unseen
 from warp_peri.points.points import Samples
 
 TINY, LEAST_SAMPLES, PARTS, MOST = 1e-300, 8, 24, 60_000
@@ -115,6 +116,7 @@ def diagnose(material: Any, samples: Samples, noise: Samples | None = None) -> D
         raise InputError(f"samples: expected {LEAST_SAMPLES} at least on a lattice, got {got}")
     if (d := samples.dimension) != 2:
         raise InputError(f"samples: expected samples in the plane, got {d} dimensions")
+    warn_of_unseen(samples)
     operator, left, residual = left_by(material, samples, "diagnose")
     total, shares = float((left**2).sum()), dict[str, float]()
     inner = operator(np.where(samples.interior[:, None], samples.u, 0.0))

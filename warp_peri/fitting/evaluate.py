@@ -252,6 +252,7 @@ def bootstrap(
     of the draws determine no law.
     """
     one = samples.obvious("train") if isinstance(samples, Dataset) else samples
+    warn_of_unseen(one)
     count, rng, again = len(one), np.random.default_rng(seed), 0
     if count < LEAST_LOADS:
         raise InputError(f"samples: expected at least {LEAST_LOADS} loads, got {count}")

@@ -267,7 +267,9 @@ class CrackRun(Recorder):
         self.body, self.dt, self.shares = body, float(step), list[float]()
         self.history = {name: [] for name in LEDGER}
         told = self.file or self.series  # before functions that keep things are called
-        self.watched = fingerprint(self.every, self.watch) if told else ""
+        self.watched, again = (fingerprint(self.every, self.watch) if told else "" for _ in "12")
+        if self.watched != again:
+            raise InputError("watch: expected functions whose values a checkpoint can tell apart")
 
     def motion(self, state: BreakingState) -> Motion:
         """Records so far as a Motion, with the end at the nodes of this process."""

@@ -287,6 +287,10 @@ RADIUS = 4.0
 """Half side of the smaller square around a tip, in horizons; the larger has twice that."""
 
 
+APART = 0.7
+"""Spacings from one length of a crack to the next, of an inclined one too."""
+
+
 @typed
 def energy_release(
     material: Any,
@@ -324,7 +328,9 @@ def energy_release(
         work = cell * float(np.vdot(solution.load, solution.u[solution.operator.inside]))
         energies.append(solution.operator.energy(solution.u) - work)
         lengths.append(sum(size_and_normal(np.asarray(line, float))[0] for line in polylines))
-    if min(len({*lengths}), len(cuts)) < (3 if shift else 2):
+    steps = np.diff(np.sort(lengths))
+    few = min(len(lengths), len(cuts)) < (3 if shift else 2)
+    if few or steps.min() < APART * problem.points.spacing:
         least = "three" if shift else "two"
         raise InputError(f"cracks: expected {least} lengths or more a bond apart, got {lengths}")
     off, back = np.array(lengths) - np.mean(lengths), shift and shift * _moving(cracks)

@@ -293,7 +293,12 @@ def fit_dispersion(
         "moduli_held": tensor is not None,
         "largest_wave": largest_wave / spacing,
     }
-    return tensors.crystal(tensors.fitted(R, y, tensor, stress), units, told, stress)
+    found = tensors.fitted(R, y, tensor, stress)
+    if not found.loss < ABSURD:
+        raise InputError(
+            f"tensor: expected that of the symbol, which is off {found.loss:.3g} times"
+        )
+    return tensors.crystal(found, units, told, stress)
 
 
 def symmetry_of(atoms: ForceConstants, symmetry: Symmetry) -> Symmetry:

@@ -23,6 +23,7 @@ from warp_peri.core.record import FieldUnits, Length, Record, read_json
 from warp_peri.core.stencil import half_ball
 from warp_peri.core.torch_bridge import own_torch
 from warp_peri.errors import InputError, Rows, Values, called, hold
+from warp_peri.fitting.long_waves import told_apart
 from warp_peri.fitting.regression import norms
 from warp_peri.fitting.result import Fit
 from warp_peri.materials.crystal_fit import one_set
@@ -217,8 +218,8 @@ class Density:
         parameters: where the fit starts, by name.
         loss: "forces" fits L u = b; "displacement" solves for u, for noise or few loads.
 
-    `fit` raises InputError for samples without loads or displacement, and parameters that change
-    nothing.
+    `fit` raises InputError for samples without loads or displacement, and parameters that they do
+    not tell apart, or not from where the search ends.
 
     >>> def svk(E, lam, mu):
     ...     return lam / 2 * E.diagonal(dim1=-2, dim2=-1).sum(-1) ** 2 + mu * (E * E).sum((-1, -2))
@@ -264,8 +265,9 @@ class Density:
 
         start = list(material.parameters.values()) / scale
         found = least_squares(left, start, x_scale="jac", diff_step=DIFFERENCE, method="lm")
-        if unseen := [name for name, column in zip(names, found.jac.T) if not column.any()]:
-            raise InputError(f"parameters: the energy of these samples has no {', '.join(unseen)}")
+        if not told_apart(found.jac):
+            at = ", ".join(f"{name} {value:.4g}" for name, value in zip(names, scale * found.x))
+            raise InputError(f"parameters: these samples do not tell all apart, or not from {at}")
         loss = float(np.sqrt(2 * found.cost / len(right)))
         record = {"loss": loss, "by": self.loss, "evaluations": int(found.nfev)}
         law = replace(material.at(dict(zip(names, scale * found.x))), provenance={"fit": record})

@@ -90,7 +90,7 @@ class RowOperator:
     """Operator L of a proven material on a lattice in slabs, and an approximate inverse. Raises
     InputError without a proof, and for interior nodes near the edge of the box."""
 
-    method = "multigrid"
+    method, is_linear = "multigrid", True
 
     def __init__(self, law: StencilMaterial, piece: Subdomain) -> None:
         comm, d, stencil = piece.comm, piece.dimension, law.stencil

@@ -82,6 +82,10 @@ class Mesh(InSpace, Shown):
         count, d = self.x.shape
         cells, _, facet, _ = KINDS[d]
         hold(self, cells=checked_numbers(cells, self.cells, ("T", d + 1), count, least=1))
+        sides = np.diff(self.x[self.cells], axis=1)
+        flat = np.flatnonzero(np.abs(det(sides)) <= FLAT * norm(sides, axis=2).max(axis=1) ** d)
+        if len(flat):
+            raise InputError(f"{cells}: expected corners around an area or volume, not {flat[0]}")
         faces = checked_numbers(f"{facet}s", self.faces, ("F", d), count, least=1)
         curved = faces if d == 2 else checked_numbers("curved", self.curved, ("E", 2), count)
         middle, parts = checked("middle", self.middle, shape=(len(curved), d)), {}

@@ -66,7 +66,7 @@ class Polygon:
 
     def __post_init__(self) -> None:
         x = checked("corners", self.corners, float, ("n", 2))
-        if np.array_equal(x[:1], x[-1:]):  # a closed ring
+        if len(x) > 3 and np.abs(x[-1] - x[0]).max() <= ROUND * np.ptp(x, axis=0).max():  # a ring
             hold(self, corners=self.corners[:-1])
         count = len(self.corners)
         if count < 3:

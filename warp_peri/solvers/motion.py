@@ -133,11 +133,12 @@ class TimeSeriesWriter:
         text = self.nodes.comm.bcast(pvd.read_text(errors="replace") if pvd.is_file() else there)
         known = re.match(re.escape(PVD) + r"<!-- (\d{1,8}) (\w+) -->\n", text)
         own = self.resume and text.startswith(f"{PVD}\n")
-        if text and not (known[2] == mark(int(known[1])) if mark and known else own):
-            raise InputError(
-                f"{pvd}: is there, or records beside it, of another motion, program or run, or of "
-                "more steps; name another folder, or resume=True for a writer of your own"
-            )
+        with agreed(self.nodes.comm):
+            if text and not (known[2] == mark(int(known[1])) if mark and known else own):
+                raise InputError(
+                    f"{pvd}: is there, or records beside it, of another motion, program or run, or "
+                    "of more steps; name another folder, or resume=True for a writer of your own"
+                )
         self.mark, self.claimed = mark, True
 
     def write(self, step: Natural, time: float, fields: Arrays) -> None:
