@@ -211,5 +211,3 @@ def test_torn_sheets_and_loads_that_are_not_shared_by_mass_are_told(tmp_path):
         grained("whole.dump", 0.1 * x, along, mass)
     with refused(r"mass: expected shape \[64\]"):
         grained("whole.dump", 0.1 * x, along, mass[:3])
-    with refused("mass: expected an array"):
-        grained("whole.dump", 0.1 * x, along, [1.0, [2.0]])

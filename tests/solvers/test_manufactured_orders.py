@@ -64,7 +64,7 @@ def error(number, lam, mu):
     return np.sqrt(((u - exact)[points.interior] ** 2).mean() / (exact**2).mean())
 
 
-@parametrize("lam", [0.3, 3.0], ids=["softer", "stiffer"])
+@parametrize("lam", [0.3, 3.0])
 def test_the_solution_tends_to_that_of_elasticity_with_second_order(lam):
     numbers = np.array([3, 4, 6])
     assert fitted_order(LENGTH / numbers, [error(number, lam, 0.8) for number in numbers]) >= 2

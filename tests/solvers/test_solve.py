@@ -43,17 +43,13 @@ def test_the_periodic_solve_is_the_inverse_of_the_operator(name, side):
     assert sup(solved.mean(1)) < 1e-14
 
 
-def smallest_eigenvalue(a, points):
-    """Of the operator on the unknowns."""
-    L = passing(a).on(points, allow_uncertified=True).matrix()
-    return eigvalsh(L[:, np.repeat(points.interior, 2)].toarray())[0]
-
-
 @filterwarnings("ignore:spacing")
 @parametrize(("interior", "low", "high"), [(1, -0.9, -0.8), (ell(), -0.775, -0.75)])
 def test_a_singular_operator_is_refused(interior, low, high):
     points = lattice(interior, HORIZON)
-    model = passing(brentq(smallest_eigenvalue, low, high, args=(points,), xtol=1e-16))
+    unknown, on = np.repeat(points.interior, 2), {"points": points, "allow_uncertified": True}
+    smallest = lambda a: eigvalsh(passing(a).on(**on).matrix()[:, unknown].toarray())[0]
+    model = passing(brentq(smallest, low, high, xtol=1e-16))
     b = noise(points)
     with refused("nodes is singular"):
         solve(model, points, b, 0 * b, allow_uncertified=True)
