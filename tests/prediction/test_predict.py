@@ -236,6 +236,7 @@ def test_a_family_is_learned_and_calibrated_by_one_call(tmp_path):
     answers = wp.predict(family, wp.Dirichlet(held, held.b, held.u), None)
     ratios = [answer.error / far(answer.u, u, points) for answer, u in zip(answers, held.u)]
     assert 0.5 < np.median(ratios) < 3
+    assert answers[0].guarantee.contraction == 0
 
 
 def test_shares_find_the_wavelength_and_members_are_pulled_half_way_to_their_record():
