@@ -16,11 +16,10 @@ if "PYTEST_XDIST_WORKER" in os.environ:  # workers share the cores; torch and BL
 import joblib  # which loads BLAS
 
 TOOLS = Path(__file__).parent.parent / "tools"
-LONGEST = (
-    "test_train_graphene", "test_mpi", "test_scripts", "test_crystal_fit", "test_public",
-    "test_stability", "test_predict", "test_rows", "test_special_values", "test_commands",
-    "test_files", "test_calculator_noise", "test_pages",
-)  # fmt: skip
+LONGEST = """
+test_train_graphene test_mpi test_scripts test_crystal_fit test_public test_stability test_predict
+test_rows test_special_values test_commands test_files test_calculator_noise test_pages
+"""
 """Files of ten seconds to a minute, begun first, so that no process waits for another."""
 
 
@@ -32,8 +31,8 @@ def pytest_collection_finish():
 
 
 def pytest_collection_modifyitems(items):
-    place = {name: n for n, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: place.get(item.path.stem, len(LONGEST)))
+    place = {name: n for n, name in enumerate(LONGEST.split())}
+    items.sort(key=lambda item: place.get(item.path.stem, len(place)))
 
 
 @pytest.fixture(scope="session", autouse=True)

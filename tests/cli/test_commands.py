@@ -236,13 +236,13 @@ def test_a_typed_box_is_rounded_and_a_radius_fits(sheet, tmp_path, capsys):
     answer(capsys, *words, "--box", "40.02", "39.98")
     assert_array_equal(load_dataset(tmp_path / "own.h5")["train"].b, b)
     for more, said in (
-        (["--box", "40", "40.2"], "expected the header's 40 x 40 Å, got 40 x 40.2 Å"),
-        (["--box", "40", "40", "--radius", "1e9"], "at most 20 Å, half the smallest period, got"),
-        (["--radius", "1e9"], "at most 39 Å, the extent of the body, got 1e+09 Å"),
-        (["--set", "a/b", "--reference", "not read"], "'a/b' cannot be the name of a set"),
-        (["--reach", "100", "--unloaded", "not read"], "nodes have no atom within the radius"),
+        ("--box 40 40.2", "expected the header's 40 x 40 Å, got 40 x 40.2 Å"),
+        ("--box 40 40 --radius 1e9", "at most 20 Å, half the smallest period, got"),
+        ("--radius 1e9", "at most 39 Å, the extent of the body, got 1e+09 Å"),
+        ("--set a/b --reference not-read", "'a/b' cannot be the name of a set"),
+        ("--reach 100 --unloaded not-read", "nodes have no atom within the radius"),
     ):
-        assert said in refused(capsys, *words, *more)
+        assert said in refused(capsys, *words, *more.split())
 
 
 def test_forces_have_two_columns_as_they_are(tmp_path):
@@ -280,8 +280,8 @@ def test_settings_files_hold_words_of_a_command(fitted, data, tmp_path, capsys):
     path.write_text(f"\ufeff{fitted}/model.json '{data}'  # both\n--set train\n--no-transfer\n")
     assert set(answer(capsys, "evaluate", f"@{path}", "--set", "test")) == {"test"}
     assert "no-such: no such file" in refused(capsys, "info", "@no-such")
-    typed = parse(["sweep", "d.h5", "--out", "o", "--degrees", "1", "--degrees", "2", "3"]).degrees
-    assert typed == [1, 2, 3]  # in place of what is usual
+    typed = "sweep d.h5 --out o --degrees 1 --degrees 2 3"
+    assert parse(typed.split()).degrees == [1, 2, 3]  # in place of what is usual
     path.write_text("d.h5 --out o --degrees 1 2 --horizons 9 --jobs 2")
     given = parse(["sweep", f"@{path}", "--degrees", "3"])
     assert (given.degrees, given.horizons, given.jobs) == ([3], [9.0], 2)

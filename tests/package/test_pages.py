@@ -30,12 +30,11 @@ NOT_HERE = (
 """What sets up an environment, is of others, or has a test of its own."""
 ELSEWHERE = ("README", "tutorials/graphene")
 """Run by tests/examples, on graphene's own data."""
-SLOW = (
-    "how-to/arrays", "how-to/crystals", "how-to/error_bars", "how-to/flow", "how-to/free_edges",
-    "how-to/heterogeneous", "how-to/horizon", "how-to/large", "how-to/lattices", "how-to/neural",
-    "how-to/strains", "how-to/tissue", "tutorials/crystal", "tutorials/dic", "tutorials/dumps",
-    "tutorials/torch",
-)  # fmt: skip
+SLOW = """
+how-to/arrays how-to/crystals how-to/error_bars how-to/flow how-to/free_edges how-to/heterogeneous
+how-to/horizon how-to/large how-to/lattices how-to/neural how-to/strains how-to/tissue
+tutorials/crystal tutorials/dic tutorials/dumps tutorials/torch
+"""
 """Pages that take more than some 2 s."""
 
 
@@ -56,7 +55,7 @@ TYPED = {
     for name, text in TEXT.items() if not name.startswith("papers/")
 }  # fmt: skip
 RUN = [
-    pytest.param(name, marks=[slow] * (name in SLOW))
+    pytest.param(name, marks=[slow] * (name in SLOW.split()))
     for name in TEXT
     if name not in ELSEWHERE and (code(name) or "warp-peri " in " ".join(TYPED.get(name, [])))
 ]

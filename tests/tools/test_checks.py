@@ -48,20 +48,27 @@ def test_values_of_an_option_typed_twice_add_up():
     assert options.parse_args(["--n", "3", "--n", "4", "5"]).n == [3, 4, 5]
 
 
-@parametrize(("words", "said"), [
-    ("tools/make_hgo.py --jobs 0", "jobs: expected a number of processes"),
-    ("tools/make_hgo.py --counts -1 1 0 1", "--counts: expected a whole number ≥ 0, got -1"),
-    ("tools/make_hgo.py --nu 1.5", "material: expected E > 0"),
-    ("tools/make_hgo.py --out a", "a.h5: expected a file or a new name, got a folder"),
-    ("tools/make_frames.py b --noise nan", "--noise: expected a number ≥ 0, got nan"),
-    ("tools/mutants.py --only 99999", "--only: expected the number of a fault, got 99999"),
-    ("tools/frozen.py check --only (", "--only: expected a pattern"),
-    ("examples/branching.py --spacing 4e-3 --share 2", "step: expected at most"),
-    ("examples/waves_to_map.py --side 4", "--side: expected a whole number ≥ 8, got 4"),
-    ("examples/polymer/tables.py nope", "table: expected of law, plates"),
-])  # fmt: skip
-def test_what_makes_no_sense_is_refused_at_once(words, said, here, monkeypatch, capsys):
+SENSELESS = """
+tools/make_hgo.py --jobs 0 | jobs: expected a number of processes
+tools/make_hgo.py --counts -1 1 0 1 | --counts: expected a whole number ≥ 0, got -1
+tools/make_hgo.py --nu 1.5 | material: expected E > 0
+tools/make_hgo.py --out a | a.h5: expected a file or a new name, got a folder
+tools/make_frames.py b --noise nan | --noise: expected a number ≥ 0, got nan
+tools/make_frames.py a.h5 | has frames already; name another, or --overwrite
+tools/mutants.py --only 99999 | --only: expected the number of a fault, got 99999
+tools/frozen.py check --only ( | --only: expected a pattern
+examples/branching.py --spacing 4e-3 --share 2 | step: expected at most
+examples/waves_to_map.py --side 4 | --side: expected a whole number ≥ 8, got 4
+examples/plate_with_hole.py --model {frozen}/crystal.json | model: expected an LPSMaterial
+examples/polymer/tables.py nope | table: expected of law, plates
+"""
+
+
+@parametrize("line", SENSELESS.strip().split("\n"))
+def test_what_makes_no_sense_is_refused_at_once(line, here, monkeypatch, capsys):
+    words, said = line.format(frozen=ROOT / "tests/frozen").split(" | ")
     (here / "a.h5").mkdir()
+    (here / "a.h5/frame00.csv").touch()
     monkeypatch.setattr(sys, "argv", words.split())
     with pytest.raises(SystemExit, match="2"):
         runpy.run_path(str(ROOT / sys.argv[0]), run_name="__main__")
