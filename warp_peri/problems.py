@@ -237,8 +237,8 @@ def _on_ranks(problem: Any, options: Options, verb: str) -> bool:
             if options[name] is not None:
                 check_mapping(name, options[name])
         for name, of in OPTIONS_OF.items():
-            if options.get(name) is not None and all(
-                getattr(problem, one, options.get(one)) is None for one in of
+            if options.get(name) is not None and not any(
+                one in options or getattr(problem, one, None) is not None for one in of
             ):
                 raise InputError(f"{name}: expected {' or '.join(of)} beside it, which it is of")
         if pieces or not hasattr(problem, "learns"):

@@ -291,6 +291,32 @@ def test_settings_files_hold_words_of_a_command(fitted, data, tmp_path, capsys):
     assert parse(["sweep", f"@{path}"]).options == given.options
 
 
+WRONG = """
+info nowhere.h5 | no such file
+info nowhere.json | nowhere.json
+fit {data} --out {new} --set none | no set 'none'
+fit {data} --out {new} --noise none | no set 'none'
+fit {data} --out {new} --influence gausian | expected gaussian, exponential
+fit {data} --out {new} --influence gaussian --degree 2 | expected one of the two
+fit {data} --out {new} --law tensors --degree 1 | degree: expected with --law lps, not
+fit-crystal . --hold xx --trust --out {new} | trust, hold: expected with --calculator
+certify {bare} | give --spacing
+sweep {data} --out {new} | no set 'val'
+export {bare} {data} --out {new} | certified on no spacing
+solve {bare} --out {new} | required: DATA.h5
+solve {bare} {data} --out {data} | is read (data)
+solve {bare} {data} --out {text} | expected a .h5 file
+solve {bare} {data} --out {mine} | is there already, not by these settings
+solve {bare} {data} @{mine} --out {mine} | is read (files)
+fit {folder}/model.json --out {folder} --overwrite | is read (data)
+fit {data} --out {folder} --overwrite | is read (data)
+fit-crystal x --calculator lammps:sw;{folder}/model.json --out {folder} | (calculator)
+fit {data} --out {bare} | expected a folder
+solve {bare} {data} --out {folder} | expected a file
+sweep {data} --val test --out {new} --jobs 0 | jobs: expected
+"""
+
+
 def test_what_cannot_be_done_is_one_line_and_writes_nothing(data, tmp_path, capsys):
     names = {"data": "d.h5", "bare": "bare.json", "text": "thesis.txt", "mine": "mine.h5"}
     places = {key: tmp_path / name for key, name in names.items()}
@@ -301,31 +327,9 @@ def test_what_cannot_be_done_is_one_line_and_writes_nothing(data, tmp_path, caps
         places[key].write_text("--set train\n")
     before = {path: path.read_bytes() for path in places.values()}
     places |= {"folder": tmp_path, "new": tmp_path / "new"}
-    for words, message in {
-        "info nowhere.h5": "no such file",
-        "info nowhere.json": "nowhere.json",
-        "fit {data} --out {new} --set none": "no set 'none'",
-        "fit {data} --out {new} --noise none": "no set 'none'",
-        "fit {data} --out {new} --influence gausian": "expected gaussian, exponential",
-        "fit {data} --out {new} --influence gaussian --degree 2": "expected one of the two",
-        "fit {data} --out {new} --law tensors --degree 1": "degree: expected with --law lps, not",
-        "fit-crystal . --hold xx --trust --out {new}": "trust, hold: expected with --calculator",
-        "certify {bare}": "give --spacing",
-        "sweep {data} --out {new}": "no set 'val'",
-        "export {bare} {data} --out {new}": "certified on no spacing",
-        "solve {bare} --out {new}": "required: DATA.h5",
-        "solve {bare} {data} --out {data}": "is read (data)",
-        "solve {bare} {data} --out {text}": "expected a .h5 file",
-        "solve {bare} {data} --out {mine}": "is there already, not by these settings",
-        "solve {bare} {data} @{mine} --out {mine}": "is read (files)",
-        "fit {folder}/model.json --out {folder} --overwrite": "is read (data)",
-        "fit {data} --out {folder} --overwrite": "is read (data)",
-        "fit-crystal x --calculator lammps:sw;{folder}/model.json --out {folder}": "(calculator)",
-        "fit {data} --out {bare}": "expected a folder",
-        "solve {bare} {data} --out {folder}": "expected a file",
-        "sweep {data} --val test --out {new} --jobs 0": "jobs: expected",
-    }.items():
-        assert message in refused(capsys, *words.format(**places).split()), words
+    for line in WRONG.strip().split("\n"):
+        words, message = line.format(**places).split(" | ")
+        assert message in refused(capsys, *words.split()), words
         assert {path: path.read_bytes() for path in before} == before
         assert not places["new"].exists() or not any(places["new"].glob("*"))
     line = "export {bare} {data} --out {new} --allow-uncertified".format(**places)

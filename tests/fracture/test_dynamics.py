@@ -93,5 +93,5 @@ def test_a_checkpoint_says_what_differs_and_goes_on_under_the_same_history_of_lo
     options["checkpoint"] = path.with_name("kept.h5")
     for steps in (2, 4):  # of functions that write down what they see
         march(steps=steps, watch=lambda phi, seen=[]: seen.append(1) or len(seen))
-    with refused("watch: expected functions whose values a checkpoint can tell apart"):
+    with refused("watch phi: expected what a checkpoint can tell from others"):
         march(watch=np.frompyfunc(abs, 1, 1))

@@ -25,7 +25,7 @@ from warp_peri.errors import InputError, called
 from warp_peri.points.arguments import Numbers, Pair
 from warp_peri.points.points import PointsLike, nodes_of
 
-STEP, LOST, ROUNDING = 1e-4, 1e-3, 1e-13
+STEP, LOST, ROUNDING = 1e-4, 1e-3, 1e-12
 """Of a number, over which its derivative is checked; of that, and of a stress, what is none."""
 
 
@@ -202,14 +202,21 @@ class Pointwise(Swept):
 
             if self._cubic:  # torch sees all of it
                 return seen(along)
-            here = slope(value)
-            sides = [(called(what, slope, value + s) - here) / s for s in (step, -step)]
-            up = sides[0].sign()  # along which no parts take each other off
-            off = ROUNDING * np.abs(self.stiffness).max() * float(E.detach().abs().sum()) / step
-            off += LOST * float(sides[0].abs().sum())
-            least, most = sorted(float((side * up).sum()) for side in sides)  # unlike at a kink
-            if not least - off <= seen(up) <= most + off:
-                raise InputError(what)
+            here, up, found = slope(value), None, list[float]()
+            for s in (step, -step):  # unlike at a kink, and one may be none at an end
+                with suppress(InputError):
+                    far, near = ((called(what, slope, value + d) - here) / d for d in (s, s / 10))
+                    if not (far.isfinite() & near.isfinite()).all():
+                        continue
+                    up = far.sign() if up is None else up  # so that no parts take each other off
+                    found += [float((each * up).sum()) for each in (far, near, 2 * near - far)]
+            if up is None:
+                called(what, slope, value + step)
+            elif found:
+                off = ROUNDING * np.abs(self.stiffness).max() * float(E.detach().abs().sum()) / step
+                off += LOST * max(map(abs, found))
+                if not min(found) - off <= seen(up) <= max(found) + off:
+                    raise InputError(what)
             return seen(along)
 
         return self._swept(sweep, u, self.on_all(w), total=True)

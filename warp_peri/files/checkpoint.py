@@ -41,8 +41,8 @@ CODE = "code consts names varnames argcount posonlyargcount kwonlyargcount excep
 """What code is told by."""
 QUIET = (
     "_csv", "_queue", "_thread", "concurrent.", "logging", "matplotlib.axes", "matplotlib.cbook",
-    "matplotlib.figure", "matplotlib.image", "matplotlib.lines", "sqlite3", "threading", "tqdm",
-    "weakref",
+    "matplotlib.figure", "matplotlib.image", "matplotlib.lines", "multiprocessing", "sqlite3",
+    "threading", "tqdm", "weakref",
 )  # fmt: skip
 """Modules whose objects change as they draw, write and wait, and decide no number."""
 _OWN = f"{sysconfig.get_path('stdlib')}/", f"{Path(__file__).parents[1]}/"
@@ -212,6 +212,8 @@ def _unwrapped(part: Any) -> Any:
         return part.data, part.boxsize, part.leafsize
     if isinstance(part, WeakKeyDictionary):  # a cache
         return None
+    if isinstance(part, np.vectorize):  # which keeps a ufunc once it is called
+        return part.pyfunc, part.signature, part.excluded
     if isinstance(part, (np.timedelta64, np.longdouble)):  # more than numbers are told by
         return repr(part)
     return np.asarray(part) if isinstance(part, memoryview) else part

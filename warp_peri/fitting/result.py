@@ -103,7 +103,7 @@ def check_noise(noise: Samples, points: Samples) -> None:
             f"got {len(its.x)} others in {its.units}"
         )
     loads = 0.0 if noise.b is None else np.abs(noise.b[:, its.interior]).max()
-    if loads > ROUNDED * np.abs(points.loads).max():
+    if loads > ROUNDED * np.abs(points.loads).max(initial=0.0):
         raise InputError("noise: expected displacements of the unloaded body, got loads")
 
 

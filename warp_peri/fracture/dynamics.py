@@ -96,6 +96,7 @@ class BreakingBody:
         corrected: bool = False,
     ) -> None:
         self.solid, self.body, self.ramp, self.corrected = solid, body, ramp, corrected
+        self.shares: dict[float, float] = {}
         self.longest_step = solid.longest_step(body.spacing) * (SHORTER if corrected else 1)
         self.no_fail = check_no_fail(no_fail, len(body.x))
         stretch = solid.critical_stretch
@@ -119,8 +120,10 @@ class BreakingBody:
     def share(self, time: float) -> float:
         """Share of the loads at a time, by the ramp; InputError where it is no number."""
         name, ramp = f"ramp at t = {time:g}", 1.0 if self.ramp is None else self.ramp
-        given = called(f"{name}: expected a number", ramp, time)
-        return float(checked(name, given, float, ()))
+        if time not in self.shares:  # asked for once, whatever it remembers
+            given = called(f"{name}: expected a number", ramp, time)
+            self.shares[time] = float(checked(name, given, float, ()))
+        return self.shares[time]
 
     def start(
         self,
@@ -267,9 +270,10 @@ class CrackRun(Recorder):
         self.body, self.dt, self.shares = body, float(step), list[float]()
         self.history = {name: [] for name in LEDGER}
         told = self.file or self.series  # before functions that keep things are called
-        self.watched, again = (fingerprint(self.every, self.watch) if told else "" for _ in "12")
-        if self.watched != again:
-            raise InputError("watch: expected functions whose values a checkpoint can tell apart")
+        for name, one in (self.watch if told else {}).items():
+            if fingerprint(one) != fingerprint(one):
+                raise InputError(f"watch {name}: expected what a checkpoint can tell from others")
+        self.watched = fingerprint(self.every, self.watch) if told else ""
 
     def motion(self, state: BreakingState) -> Motion:
         """Records so far as a Motion, with the end at the nodes of this process."""

@@ -288,7 +288,7 @@ RADIUS = 4.0
 
 
 APART = 0.7
-"""Spacings from one length of a crack to the next, of an inclined one too."""
+"""Spacings, or their squares in space, from one crack to the next, of an inclined one too."""
 
 
 @typed
@@ -330,7 +330,7 @@ def energy_release(
         lengths.append(sum(size_and_normal(np.asarray(line, float))[0] for line in polylines))
     steps = np.diff(np.sort(lengths))
     few = min(len(lengths), len(cuts)) < (3 if shift else 2)
-    if few or steps.min() < APART * problem.points.spacing:
+    if few or steps.min() < APART * problem.points.spacing ** (problem.points.dimension - 1):
         least = "three" if shift else "two"
         raise InputError(f"cracks: expected {least} lengths or more a bond apart, got {lengths}")
     off, back = np.array(lengths) - np.mean(lengths), shift and shift * _moving(cracks)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.linalg import eigvalsh, lstsq, matrix_rank
+from numpy.linalg import eigvalsh, lstsq, matrix_rank, svd
 
 from warp_peri.core import elastic
 from warp_peri.core.elastic import (
@@ -31,7 +31,7 @@ from warp_peri.core.stencil import invariant_basis
 from warp_peri.errors import InputError, Values, called, warn
 from warp_peri.files.atomic import plain
 from warp_peri.fitting import regression
-from warp_peri.fitting.long_waves import judged, long_wave_moduli, told_apart
+from warp_peri.fitting.long_waves import judged, long_wave_moduli
 from warp_peri.fitting.regression import (
     Form,
     LatticeRows,
@@ -63,6 +63,8 @@ FLOOR = 0.3
 """ζ over the softest acoustic modulus."""
 NOTHING, TOLD = 1e-10, 1e-6
 """Of equalities of size one, that are rounding; relative, what contradicts them."""
+DEPENDENT = 1e-12
+"""Relative size of a number that the rows do not tell."""
 NUMBERS = 3
 """Numbers for each equation that holds moduli, from which holding them costs short waves little."""
 OFF = 0.05
@@ -117,7 +119,8 @@ class Tensors:
                 "smaller symmetry may"
             )
         R, y = compressed(R, y)
-        if not told_apart(R @ free):
+        sizes = svd(R @ free, compute_uv=False)
+        if np.count_nonzero(sizes > DEPENDENT * sizes.max(initial=0.0)) < free.shape[1]:
             raise InputError(
                 f"data: expected enough to tell {free.shape[1]} numbers of "
                 f"{len(self.bonds.steps) * 2} bonds apart; give more loads, shorter waves, a "

@@ -117,9 +117,9 @@ class NeuralOperator(Shown, torch.nn.Module):
         """Kinds of its modules, and shapes of their weights by name."""
         return [*map(type, self.modules())], {k: w.shape for k, w in self.state_dict().items()}
 
-    def _apply(self, fn: Any, *how: Any) -> Any:
+    def _apply(self, fn: Any, *how: Any, **named: Any) -> Any:
         check_precision({fn(torch.empty(0)).dtype})  # before any weight is converted
-        return super()._apply(fn, *how)  # type: ignore[no-untyped-call]
+        return super()._apply(fn, *how, **named)  # type: ignore[no-untyped-call]
 
     def omega(self, xi: torch.Tensor) -> torch.Tensor:
         """Influence function ω of bonds ξ [length], [n, 2], shape [n]: (NO1) or (NO2)."""

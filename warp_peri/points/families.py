@@ -217,7 +217,7 @@ def nodes_in_period(points: PointsLike, least: int) -> np.ndarray:
     if not np.array_equal(points.lattice.axes, np.eye(points.dimension)):
         raise InputError("box: expected a lattice along the axes, got a rotated one")
     size: np.ndarray = np.rint(box / h).astype(np.int32)
-    if np.abs(size * h - box).max() > LATTICE_TOLERANCE * box.max() or size.min() <= least:
+    if (np.abs(size * h - box) > LATTICE_TOLERANCE * box).any() or size.min() <= least:
         raise InputError(f"box: expected whole multiples of {h}, above {least} of it, got {box}")
     return size
 

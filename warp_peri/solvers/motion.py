@@ -98,8 +98,8 @@ class Motion(Shown):
 
 PVD, END = '<VTKFile type="Collection"><Collection>', "</Collection></VTKFile>\n"
 """How `motion.pvd` begins and ends."""
-RECORD = r'<DataSet .*file="record_(\d+)\.vtu"/>'
-"""Line of a record, with its step."""
+RECORD = r'<DataSet .*file="(?=record_(\d+))(.*)"/>'
+"""Line of a record, with its step and file."""
 NAME = r"""[^<&"\0-\x1f\ud800-\udfff\ufffe\uffff]+"""
 """Of a field in XML, which nothing escapes."""
 
@@ -166,7 +166,10 @@ class TimeSeriesWriter:
                     write_text(pvd, f"{head}\n{END}")
                 write_vtu(pvd.parent / name, x, ("vertex", np.arange(len(x))[:, None]), whole)
                 before = re.finditer(RECORD, pvd.read_text())
-                lines = [one[0] for one in before if self.dropped != int(one[1]) < step]
+                lines = [
+                    one[0] for one in before
+                    if self.dropped != int(one[1]) < step and (pvd.parent / one[2]).exists()
+                ]  # fmt: skip
                 line = f'<DataSet timestep="{float(time)!r}" file="{name}"/>'
                 write_text(pvd, "\n".join([head, *lines, line, END]))
 
