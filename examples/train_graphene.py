@@ -153,12 +153,11 @@ def made_data(given: argparse.Namespace) -> Path:
         how |= {"bath": Bath(given.temperature), "overwrite": given.overwrite}
         (path,) = make_thermal(DATA.parent, **how).values()
         return path
-    if not DATA.exists():
-        from tools.make_graphene import make_graphene
+    from tools.make_graphene import make_graphene
 
+    if not DATA.exists():
         print("making graphene data by LAMMPS once; finished samples are kept", file=sys.stderr)
-        make_graphene(DATA, jobs=given.jobs)
-    return DATA
+    return make_graphene(DATA, jobs=given.jobs, overwrite=given.overwrite)
 
 
 def sets_at(data: Dataset, spacing: float) -> dict[str, Samples]:

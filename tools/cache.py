@@ -64,17 +64,20 @@ def write_arrays(path: Path, arrays: dict[str, Any]) -> None:
         raise OSError(f"cannot write {path}: {error}") from None
 
 
-def check_made(path: Path, settings: dict[str, Any], *, overwrite: bool) -> None:
-    """Raise InputError for what is no file and, but for `overwrite`, no data of these settings.
+def check_made(path: Path, settings: dict[str, Any], *, overwrite: bool) -> bool:
+    """Whether data of these settings are there, which stay as they are but for `overwrite`.
 
-    `settings`: values that the provenance of a data set says, whose file may be there.
+    `settings`: values that the provenance of a data set says. Raises InputError for what is no file
+    and, but for `overwrite`, data of other settings.
     """
-    if destination(path).exists() and not overwrite:
-        said = load_dataset(path).provenance
-        if plain(settings) != {name: said.get(name) for name in settings}:
-            raise InputError(
-                f"{path}: is there already, not by these settings; name another, or --overwrite"
-            )
+    if not destination(path).exists() or overwrite:
+        return False
+    said = load_dataset(path).provenance
+    if plain(settings) != {name: said.get(name) for name in settings}:
+        raise InputError(
+            f"{path}: is there already, not by these settings; name another, or --overwrite"
+        )
+    return True
 
 
 def kept(path: Path, compute: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:

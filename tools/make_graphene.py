@@ -87,7 +87,8 @@ def make_graphene(
     loads = [repr(load) for load in training] if training else None
     settings = {"temperature": 0.0, "smoothing": smoothing, "training": loads}
     with locked(path), locked(cache):
-        check_made(path, settings, overwrite=overwrite)
+        if check_made(path, settings, overwrite=overwrite):
+            return path
         cache.mkdir(parents=True, exist_ok=True)
         sheet, disk = graphene_bodies()
         # The disk first: it is the longest piece of work.

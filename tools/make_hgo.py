@@ -236,7 +236,9 @@ def main() -> None:
         raise InputError(f"counts: expected four numbers, got {given['counts']}")
     chosen = {name: given[name] for name in ("counts", "seed")}
     provenance, out = chosen | asdict(material), given["out"].resolve()
-    check_made(file := Path(f"{out}.h5"), provenance, overwrite=given["overwrite"])
+    if check_made(file := Path(f"{out}.h5"), provenance, overwrite=given["overwrite"]):
+        print(f"{file} is there already")
+        return
     sets = make_hgo(out, material=material, **chosen, jobs=given["jobs"])
     save(file, Dataset(sets, thickness=1.0, density=1000.0, provenance=provenance))
     for name, samples in sets.items():

@@ -110,8 +110,9 @@ def make_thermal(
         for (reduction, factor), path in paths.items():
             how: dict[str, Any] = {"reduction": reduction, "factor": factor, "fine": fine}
             data = data_set(plans, runs, at_rest, bath, **how)
-            with locked(path):
-                save_dataset(path, data)
+            with locked(path):  # which another job may have made meanwhile
+                if not check_made(path, settings(bath, **how), overwrite=overwrite):
+                    save_dataset(path, data)
     return paths
 
 

@@ -177,6 +177,7 @@ def test_numbers_points_and_fields_that_are_refused():
         "u, one field: expected": lambda: placed.interior_tangent(np.stack([u, u])),
         "or of float64, got {torch.float16}": small().half,
     })  # fmt: skip
+    small().to_empty(device="cpu")
 
 
 def test_rounding_of_single_precision_is_an_equilibrium():

@@ -21,7 +21,7 @@ BUDGET = {
     "lines of warp_peri": 30_626,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_805,
+    "lines of warp_peri, kernels, examples and tools": 42_812,
     "lines of the longest file": 536,
     "lines of the longest function": 60,
     "parameters of one function": 10,

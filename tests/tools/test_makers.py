@@ -137,6 +137,7 @@ def test_data_of_several_processes_resume_and_replace_no_others(here):
     data, alone = load_dataset(here / "a.v1.h5"), make_hgo(here / "b", counts=(2, 1, 0, 0), jobs=1)
     assert all(np.array_equal(data[name].u, alone[name].u) for name in ("train", "val"))
     assert "a.v1.h5: is there already, not by these" in made("--seed", "7").stderr
+    assert "a.v1.h5 is there already" in made().stdout
     wp.save("graphene_300K_plain_f1.h5", replace(data, provenance=settings(Bath(), "plain", 1, 0)))
     with refused("f1.h5: is there already"):
         make_thermal(here, bath=Bath(iota=0.1), reductions=["plain"])
