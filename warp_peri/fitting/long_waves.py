@@ -72,18 +72,18 @@ TOLD = 1e-7
 """Of columns of size one: numbers that add less are not told by fields of single precision."""
 
 
-def told_apart(R: np.ndarray) -> bool:
+def told_apart(R: np.ndarray, least: float = TOLD) -> bool:
     """Whether rows [n, m] tell the numbers of all columns apart, in single precision or double."""
     size = norm(R, axis=0)
     full = R / np.where(size > 0, size, 1)
-    return not R.shape[1] or bool(matrix_rank(full, rtol=TOLD) == R.shape[1])
+    return not R.shape[1] or bool(matrix_rank(full, rtol=least) == R.shape[1])
 
 
 def moduli_of(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float]:
     """Least-squares constants of rows [..., m], relative residual; InputError for too few rows."""
     R, y = R.reshape(-1, R.shape[-1]), y.ravel()
     size = norm(R, axis=0)
-    if not told_apart(R):
+    if not told_apart(R, 10 * TOLD):
         raise InputError(
             f"moduli: the long waves of these loads do not tell {R.shape[1]} constants apart; "
             "give them, or more loads of long waves"

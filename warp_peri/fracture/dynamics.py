@@ -119,8 +119,8 @@ class BreakingBody:
 
     def share(self, time: float) -> float:
         """Share of the loads at a time, by the ramp; InputError where it is no number."""
-        name, ramp = f"ramp at t = {time:g}", 1.0 if self.ramp is None else self.ramp
         if time not in self.shares:  # asked for once, whatever it remembers
+            name, ramp = f"ramp at t = {time:g}", 1.0 if self.ramp is None else self.ramp
             given = called(f"{name}: expected a number", ramp, time)
             self.shares[time] = float(checked(name, given, float, ()))
         return self.shares[time]
@@ -267,7 +267,7 @@ class CrackRun(Recorder):
                 raise InputError(
                     f"watch: expected functions, none named {', '.join(LEDGER)}, got {watch!r:.40}"
                 )
-        self.body, self.dt, self.shares = body, float(step), list[float]()
+        self.body, self.dt = body, float(step)
         self.history = {name: [] for name in LEDGER}
         told = self.file or self.series  # before functions that keep things are called
         for name, one in (self.watch if told else {}).items():
@@ -311,8 +311,7 @@ class CrackRun(Recorder):
 
     def loads(self, steps: int) -> list[float]:
         """Shares of the loads at these times."""
-        self.shares += map(self.body.share, self.times(steps)[len(self.shares) :])
-        return self.shares[: steps + 1]
+        return [*map(self.body.share, self.times(steps))]
 
     def key(self, steps: int) -> dict[str, str]:
         body, nodes, of = self.body, self.nodes, self.body.operator
