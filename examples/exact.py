@@ -16,6 +16,11 @@ def relative_error(value: np.ndarray, exact: np.ndarray) -> float:
     return float(np.linalg.norm(value - exact) / np.linalg.norm(exact))
 
 
+def fitted_order(sizes: ArrayLike, errors: ArrayLike) -> float:
+    """Fitted order of convergence by numbers of nodes."""
+    return float(-np.polyfit(np.log(sizes), np.log(errors), 1)[0])
+
+
 def plate_with_hole(
     x: np.ndarray, radius: float, tension: float, moduli: Any
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -142,18 +147,12 @@ def poiseuille(
 
 
 def oscillation(
-    y: np.ndarray,
-    t: np.ndarray,
-    De: float,
-    Re: float,
-    force: float,
-    omega: float,
-    modes: int = 1000,
+    y: np.ndarray, t: np.ndarray, De: float, Re: float, force: float, omega: float
 ) -> np.ndarray:
     """u [T, Y] from rest under the body force cos(ω t) times `force` (F15)."""
     u = np.zeros((len(t), len(y)))
     turn = np.exp(1j * omega * t)
-    for n in range(1, 2 * modes, 2):
+    for n in range(1, 2000, 2):
         k = n * np.pi
         c = 4 * force / k
         U = c * (1 + 1j * omega * De) / (k**2 + 1j * omega * Re - omega**2 * De * Re)
@@ -162,10 +161,10 @@ def oscillation(
     return u
 
 
-def couette(y: np.ndarray, t: np.ndarray, De: float, Re: float, modes: int = 4000) -> np.ndarray:
+def couette(y: np.ndarray, t: np.ndarray, De: float, Re: float) -> np.ndarray:
     """u [T, Y] between a wall at rest and one that moves at 1 from t = 0 on (F14)."""
     u = np.tile(y, (len(t), 1))
-    for n in range(1, modes):
+    for n in range(1, 4000):
         k = n * np.pi
         u += np.outer(mode(k, De, Re, 2 * (-1) ** n / k, 0.0, t), np.sin(k * y))
     return u

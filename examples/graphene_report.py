@@ -14,6 +14,7 @@ from warp_peri import Dirichlet, Samples, plots, solve
 from warp_peri.files.atomic import write_text
 from warp_peri.fitting.evaluate import Run
 from warp_peri.materials.third_order import CUBIC
+from warp_peri.points.arguments import is_number
 
 RECORD = Path(__file__).parent.parent / "docs" / "record" / "graphene.json"
 """Errors of each model on graphene [%], the papers' among them."""
@@ -120,7 +121,7 @@ def metrics(run: Run, provenance: Mapping[str, Any]) -> dict[str, Any]:
         "statement": fit.certificate.statement,
         "certified": bool(model.certified_on),
         "temperature": provenance.get("temperature", 0.0),
-        "radius": provenance.get("smoothing", {}).get("radius"),
+        "radius": radius_of(provenance),
     }
     if fit.history[0].name == "1 Adam" and not numbers["temperature"]:
         first, last = fit.history[:2]
@@ -130,6 +131,13 @@ def metrics(run: Run, provenance: Mapping[str, Any]) -> dict[str, Any]:
             "rounds": len(first.loss) - 1,
         }
     return numbers
+
+
+def radius_of(provenance: Mapping[str, Any]) -> float | None:
+    """Radius [Å] that a file names of the cone that smoothed atoms to nodes, or None."""
+    smoothing = provenance.get("smoothing")
+    radius: Any = smoothing.get("radius") if isinstance(smoothing, Mapping) else None
+    return radius if is_number(radius) and radius > 0 else None
 
 
 def write_report(

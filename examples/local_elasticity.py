@@ -6,7 +6,6 @@ Prints E_u [%] by set: of each model, and of local elasticity with the moduli of
 with the true ones of the file. Needs scikit-fem (the extra `compare`).
 """
 
-import argparse
 import sys
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ import numpy as np
 
 import warp_peri as wp
 from tools.elements import errors_of_local, moduli_of
+from tools.options import Options
 from warp_peri.core.elastic import plane_isotropic
 from warp_peri.errors import exit_status
 
@@ -40,10 +40,9 @@ def errors_by_model(
 
 
 def main(arguments: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = Options(__doc__, options={"sets": (["val", "test"], "of the data")})
     parser.add_argument("data", type=Path)
     parser.add_argument("models", type=Path, nargs="+")
-    parser.add_argument("--sets", nargs="+", default=["val", "test"])
     given = parser.parse_args(arguments)
     data = wp.load(given.data)
     truth = data.provenance.get("truth")

@@ -23,7 +23,7 @@ import numpy as np
 import warp_peri as wp
 from examples import graphene_report as report
 from examples.local_elasticity import errors_of_local
-from tools.options import Options
+from tools.options import JOBS, Folder, Options
 from warp_peri import Dataset, InputError, Samples
 from warp_peri.cli.commands import writing
 from warp_peri.cli.main import WRITTEN
@@ -34,9 +34,11 @@ from warp_peri.materials import lps_law
 from warp_peri.materials.lps import LPSParameters
 from warp_peri.materials.lps_fit import Learner
 from warp_peri.materials.lps_law import LPSFound, optimum
-from warp_peri.points.arguments import Natural, NotNegative, Positive
+from warp_peri.points.arguments import Natural, NotNegative, Positive, is_number
 
 DATA = ROOT / "data" / "graphene_0K.h5"
+BOND, THICKNESS = (1.3, 1.6), 3.35
+"""Of graphene [Å]: what any potential gives, and the distance of layers."""
 ALPHAS = (-3.0, -1.5, 0.0, 1.0, 2.0, 2.9)
 """Exponents that the report holds against one another."""
 WRITTEN["train_graphene"] = "model.json metrics.json report.md micromodulus.json third_*.json *.png"
@@ -49,10 +51,10 @@ OPTIONS: dict[str, tuple[Any, ...]] = {
     "method": (("constrained", "two-stage", "optimum"), "way of the fit"),
     "conditions": (("paper", "direct"), "of the fit: all of (4.6), or a positive symbol alone"),
     "temperature": (0.0, "of made data [K]; 300 K takes LAMMPS 15 to 30 minutes", NotNegative),
-    "jobs": (-1, "processes for LAMMPS; -1 for all cores"),
+    "jobs": JOBS,
     "linear": (False, "learn no third-order and no crystal model"),
     "data": (Path, "HDF5 file to use instead of making data"),
-    "out": (Path, "folder for the results, runs/graphene_0K or what the temperature is"),
+    "out": (Path, "folder for the results, runs/graphene_0K or what the temperature is", Folder),
     "overwrite": (False, "results, and made data, of other settings, too"),
 }  # fmt: skip
 
@@ -71,9 +73,13 @@ def run(given: argparse.Namespace) -> None:
 def learn(given: argparse.Namespace, path: Path, begin: float) -> None:
     """Results from a data file, and what is printed of them; the time since `begin` is told."""
     data = wp.load(path)
-    if "temperature" not in data.provenance:
-        raise InputError(f"{path}: expected data of tools/make_graphene.py or make_thermal.py")
+    check_graphene(path, data)
     sets = sets_at(data, given.spacing)
+    if not ({"noise"} & sets.keys() or given.linear or report.radius_of(data.provenance)):
+        raise InputError(
+            f"{path}: expected a file that names the radius of its smoothing, smoothing.radius in "
+            "Å, which other laws than the linear solid need; or --linear"
+        )
     noise, seconds = sets.pop("noise", None), {"data": time.perf_counter() - begin}
     conditions = wp.methods.StabilityConditions(given.conditions)
     kernel = None if given.degree is None else wp.Bernstein(given.degree)
@@ -87,8 +93,7 @@ def learn(given: argparse.Namespace, path: Path, begin: float) -> None:
     if "augmented_lagrangian" in numbers:
         numbers["alphas"] = alphas_as_good(sets["train"], trained.fit.law)
     if noise is None and not given.linear:
-        radius = data.provenance.get("smoothing", {}).get("radius", 10.0)
-        for name, other in laws(given, numbers["degree"], radius).items():
+        for name, other in laws(given, numbers["degree"], numbers["radius"]).items():
             with warnings.catch_warnings():
                 warnings.filterwarnings("ignore", "strain: solutions are proven")  # as reported
                 found = wp.fit(sets["train"], other)
@@ -120,6 +125,19 @@ def learn(given: argparse.Namespace, path: Path, begin: float) -> None:
     print(*report.first_lines(numbers), sep="\n")
     print(f"figures and details: {report.shown(given.out)}/report.md")
     print(f"next: source .venv/bin/activate; warp-peri info {report.shown(path)}")
+
+
+def check_graphene(path: Path, data: Dataset) -> None:
+    """Raise InputError unless a file says that it is of graphene, and how warm."""
+    bond: Any = data.provenance.get("bond_length")
+    at = data.provenance.get("temperature")
+    sheet = abs(data.thickness / THICKNESS - 1) < 0.01
+    if not (is_number(at) and is_number(bond) and BOND[0] <= bond <= BOND[1] and sheet):
+        raise InputError(
+            f"{path}: expected graphene of tools/make_graphene.py or make_thermal.py, of a bond "
+            f"length of {BOND[0]} to {BOND[1]} Å, a thickness of {THICKNESS} Å and a temperature, "
+            f"got {bond!r:.20}, {data.thickness:g} and {at!r:.20}"
+        )
 
 
 def laws(given: argparse.Namespace, degree: int, radius: float) -> dict[str, Any]:

@@ -15,7 +15,6 @@ timing follows an untimed call. On one thread the processor's time counts, which
 disturbs least. What to read are ratios. Numba is in the extra `bench`, scikit-fem in `compare`.
 """
 
-import functools
 import json
 import os
 import platform
@@ -25,6 +24,7 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable, Sequence
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -160,8 +160,8 @@ def operator(*, quick: bool, threads: int) -> None:
         fields = np.random.default_rng(1).normal(size=(2, len(points.x), 2))
         count = len(bonds.families.neighbour)
         print(f"\n{kind}, {len(points.x)} nodes, {count} bonds, {threads} threads")
-        t = rivals.tables(bonds, points.x, np.array(sides), *fields, **MODEL)
-        pairs = zip(ours(bonds, fields), rivals.torch_scatter(t, torch.float64))
+        t = rivals.tables(bonds, points.x, sides, *fields, **MODEL)
+        pairs = zip(ours(bonds, fields), rivals.torch_scatter(t))
         forward, both = ({"warp_peri": a, "torch scatter": b} for a, b in pairs)
         forward["SciPy CSR, built before"] = rivals.scipy_csr(t)
         by_numba(t, threads, forward, both)
@@ -178,9 +178,9 @@ def by_numba(t: rivals.Tables, threads: int, forward: Candidates, both: Candidat
     from tools import rivals_numba
 
     rivals_numba.numba.set_num_threads(threads)
-    forward["Numba by lists"], both["Numba by lists"] = rivals_numba.lists(t, np.float64)
+    forward["Numba by lists"], both["Numba by lists"] = rivals_numba.lists(t)
     if len(t.r) < len(t.neighbour):
-        forward["Numba by rows"] = rivals_numba.rows(t, np.float64)
+        forward["Numba by rows"] = rivals_numba.rows(t)
 
 
 # Solves
@@ -402,13 +402,9 @@ def by_predict(family: Any) -> Callable[[Samples], Solver]:
     """Answers of an ensemble within 1 %."""
 
     def prepare(samples: Samples) -> Solver:
-        placed, points = family.ensemble_on(samples.points), samples.points
-
-        def answer(b: np.ndarray, u: np.ndarray) -> np.ndarray:
-            found: Any = wp.predict(placed, wp.Dirichlet(points, b, u), 0.01)
-            return np.asarray(found.u[samples.interior])
-
-        return answer
+        placed: Any = family.ensemble_on(samples.points)
+        answer: Any = partial(wp.predict, placed, tolerance=0.01)
+        return lambda b, u: answer(wp.Dirichlet(samples.points, b, u)).u[samples.interior]
 
     return prepare
 
@@ -432,10 +428,10 @@ def candidates(data: wp.Dataset, seen: Samples, third: list[float]) -> dict[str,
         "neural operator": ("", by_rest(weights_of("graphene"))),
     }  # fmt: skip
     for end, h in (("_ten", "10 Å"), ("", "5 Å"), ("_fine", "2.5 Å")):
-        local = functools.partial(elastic_solver, order=1, C=C)
+        local = partial(elastic_solver, order=1, C=C)
         found[f"local, {h}"] = (end, local)
-        found[f"local third order, {h}"] = (end, functools.partial(local, third=third))
-    fine = functools.partial(local_solver, C=C, third=third)
+        found[f"local third order, {h}"] = (end, partial(local, third=third))
+    fine = partial(local_solver, C=C, third=third)
     return found | {"local third order, quadratic, 2.5 Å": ("", fine)}
 
 
@@ -553,6 +549,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser = Options(__doc__, options=options)
     parser.add_argument("what", choices=KINDS)
     given = parser.parse_args(arguments)
+    if given.draw and given.what != "front":
+        parser.error(f"--draw: expected with front, got {given.what}")
     if given.draw:
         draw()
     else:

@@ -6,9 +6,9 @@ import json
 import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
+from unittest.mock import patch
 
 import joblib
 import numpy as np
@@ -27,11 +27,6 @@ def digest(content: dict[str, Any], length: int = 20) -> str:
     """The begin of a hash of plain values."""
     text = json.dumps(content, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:length]
-
-
-def file_hash(path: str | os.PathLike[str]) -> str:
-    """SHA-256 of a file, in hexadecimal."""
-    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 
 
 def read_record(path: Path, kind: type[R]) -> R | None:
@@ -101,21 +96,6 @@ def in_parallel(
         raise InputError(f"jobs: expected a number of processes ≥ 1, or −1, got {jobs}")
     kind = "generator" if ordered else "generator_unordered"
     parallel = joblib.Parallel(n_jobs=jobs, return_as=kind, batch_size=1)
-    with one_thread_each():
+    with patch.dict(os.environ, dict.fromkeys(THREADS, "1")):  # what processes started here read
         results = parallel(joblib.delayed(work)(*task) for task in tasks)
     return results
-
-
-@contextmanager
-def one_thread_each() -> Iterator[None]:
-    """Processes started inside use one thread of BLAS or OpenMP: what they do is parallel."""
-    before = {name: os.environ.get(name) for name in THREADS}
-    os.environ.update(dict.fromkeys(THREADS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value

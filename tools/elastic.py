@@ -44,16 +44,14 @@ def elastic_constants(
     return lame_constants(float(lame), float((c11 - lame) / 2))
 
 
-def cubic_constants(
-    bond: float, *, potential: str | Path | None = None, elements: Sequence[str] = ("C",)
-) -> dict[str, float]:
+def cubic_constants(bond: float) -> dict[str, float]:
     """Third-order elastic constants of the sheet, its atoms free to relax inside the strained cell.
 
     The energy of strains along x and y is ½ λ t² + μ E:E + t3 t³ + tq2 t q² + q3 q³ and terms of
     fourth order, t = E₁₁ + E₂₂, q = (E₁₁ − E₂₂)/2, E the Green strain; its derivatives, the second
     Piola–Kirchhoff stresses, are fitted on a grid of strains. x is the zigzag direction.
 
-    `bond`: stress-free bond length [Å]; `potential`, `elements`: as in LammpsSession.
+    `bond`: stress-free bond length [Å].
 
     Returns: `t3`, `tq2`, `q3` [TPa], and from them `C111`, `C222`, `C112` [TPa].
     """
@@ -61,7 +59,7 @@ def cubic_constants(
     for size in CUBIC_STRAINS:
         for a, b in itertools.product((-size, 0.0, size), repeat=2):
             stretch = np.array([1 + a, 1 + b])
-            cauchy = _stress(bond, stretch - 1, potential, elements)
+            cauchy = _stress(bond, stretch - 1)
             stresses.append(cauchy * stretch[::-1] / stretch)
             E = (stretch**2 - 1) / 2
             t, q = E.sum(), (E[0] - E[1]) / 2
@@ -85,7 +83,10 @@ def lame_constants(lam: float, mu: float) -> dict[str, float]:
 
 
 def _stress(
-    bond: float, strain: np.ndarray, potential: str | Path | None, elements: Sequence[str]
+    bond: float,
+    strain: np.ndarray,
+    potential: str | Path | None = None,
+    elements: Sequence[str] = ("C",),
 ) -> np.ndarray:
     """Normal stresses σxx, σyy [TPa] of the sheet under strains εxx, εyy."""
     positions, periods = sheet(bond, cells=(3, 2))

@@ -22,6 +22,7 @@ import sys
 import time
 import warnings
 from collections import Counter
+from collections.abc import Iterable
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -160,9 +161,18 @@ def computed(only: re.Pattern[str], names: set[str]) -> dict[str, Any]:
         if not mine and not why.startswith("the case"):
             found[f"{case}: all"] = why
         print(f"  {case}, {time.perf_counter() - begin:.1f} s", file=sys.stderr)
-    if not any(map(only.search, found.keys() | names)):
-        raise InputError(f"only: expected a pattern of some entry, got {only.pattern}")
+    chosen(only, found.keys() | names)
     return {name: entry for name, entry in found.items() if only.search(name)}
+
+
+def chosen(only: re.Pattern[str], names: Iterable[str]) -> list[str]:
+    """Those of the names that have the pattern; InputError where none has."""
+    if not (found := [name for name in names if only.search(name)]):
+        known = ", ".join(dict.fromkeys(name.split(":")[0] for name in sorted(names)))
+        raise InputError(
+            f"only: expected a pattern of some entry, got {only.pattern}; there are {known}"
+        )
+    return found
 
 
 def record(only: re.Pattern[str]) -> int:
@@ -230,9 +240,7 @@ def main(arguments: list[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     if given.list:
         entries = json.loads(RECORD.read_text())["entries"]
-        print(
-            *(f"{e['class']:9} {n}" for n, e in entries.items() if given.only.search(n)), sep="\n"
-        )
+        print(*(f"{entries[n]['class']:9} {n}" for n in chosen(given.only, entries)), sep="\n")
         return 0
     set_num_threads(1)
     torch.set_num_threads(1)

@@ -83,26 +83,16 @@ class Elements:
         local = np.einsum("eqa,eqd,eq->ead", self.N, field, self.dx, optimize=True)
         return np.bincount(self.dofs.ravel(), local.ravel(), 2 * self.nodes)
 
-    def internal(self, energy: Energy, u: np.ndarray) -> np.ndarray | None:
-        """Internal forces, shape [2 N]; None where the field is folded."""
-        state = self._state(energy, u)
-        return None if state is None else self._forces(state[0], u)
-
-    def tangent(self, energy: Energy, u: np.ndarray) -> sp.csc_matrix:
-        """Their derivative, shape [2 N, 2 N]."""
-        state = self._state(energy, u)
-        if state is None:
-            raise NotSolved("tangent of a folded field")
-        return self._stiffness(state[1])
-
-    def _forces(self, P: np.ndarray, u: np.ndarray) -> np.ndarray:
+    def forces(self, P: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Internal forces of ∂W/∂F, and of springs at u, shape [2 N]."""
         cells = len(self.dx)
         carried = (P * self.dx[..., None]).reshape(cells, 1, -1)
         local = np.matmul(carried, self.B.reshape(cells, carried.shape[2], -1))
         f = np.bincount(self.dofs.ravel(), local.ravel(), 2 * self.nodes)
         return f if self.springs is None else f + self.springs @ u
 
-    def _stiffness(self, A: np.ndarray) -> sp.csc_matrix:
+    def stiffness(self, A: np.ndarray) -> sp.csc_matrix:
+        """Their derivative, of ∂²W/∂F², shape [2 N, 2 N]."""
         cells, points = self.dx.shape
         AB = np.matmul(A * self.dx[..., None, None], self.B).reshape(cells, 4 * points, -1)
         local = np.matmul(self.B.reshape(cells, 4 * points, -1).transpose(0, 2, 1), AB)
@@ -111,7 +101,7 @@ class Elements:
         K = sp.csc_matrix((values, self._rows, self._ends), shape=2 * [2 * self.nodes])
         return K if self.springs is None else (K + self.springs).tocsc()
 
-    def _state(self, energy: Energy, u: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    def state(self, energy: Energy, u: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """∂W/∂F [E, Q, 4] and ∂²W/∂F² [E, Q, 4, 4] at the quadrature points; None if folded."""
         F = torch.from_numpy(self.gradient(u)).requires_grad_()
         xx, xy, yx, yy = F.unbind(-1)
@@ -181,10 +171,10 @@ class Elements:
         tolerance: float,
     ) -> np.ndarray | None:
         """One load step; None where Newton's method does not converge."""
-        state = self._state(energy, u)
+        state = self.state(energy, u)
         if state is None:
             return None
-        internal, K = self._forces(state[0], u), self._stiffness(state[1])
+        internal, K = self.forces(state[0], u), self.stiffness(state[1])
         move = given - u[fixed]
         v, w = np.zeros_like(u), u.copy()
         v[fixed] = move
@@ -192,22 +182,22 @@ class Elements:
         scale = max(np.abs(load).max(), np.abs(internal).max(), np.abs(pushed).max(), 1e-30)
         w[fixed] = given
         w[free] += symmetric_factors(between(K, free)).solve((load - internal)[free] - pushed)
-        state = self._state(energy, w)
+        state = self.state(energy, w)
         for _ in range(30):
             if state is None:
                 return None
-            residual = (load - self._forces(state[0], w))[free]
+            residual = (load - self.forces(state[0], w))[free]
             size = np.abs(residual).max()
             if size < tolerance * scale:
                 return w
-            step = symmetric_factors(between(self._stiffness(state[1]), free)).solve(residual)
+            step = symmetric_factors(between(self.stiffness(state[1]), free)).solve(residual)
             part = 1.0
             while True:
                 v = w.copy()
                 v[free] += part * step
-                state = self._state(energy, v)
+                state = self.state(energy, v)
                 if state is not None:
-                    left = np.abs((load - self._forces(state[0], v))[free]).max()
+                    left = np.abs((load - self.forces(state[0], v))[free]).max()
                     if left < 2 * size:
                         break
                 part /= 2
@@ -231,13 +221,7 @@ def finite_elements() -> Any:
     return skfem
 
 
-def quadrilaterals(count: int, side: float = 1.0, first: float = 0.0) -> Any:
-    """A square mesh of count × count quadrilaterals."""
+def square_mesh(kind: str, count: int, side: float = 1.0, first: float = 0.0) -> Any:
+    """A square of count × count squares of scikit-fem's MeshQuad, or of MeshTri's two triangles."""
     line = np.linspace(first, first + side, count + 1)
-    return finite_elements().MeshQuad.init_tensor(line, line)
-
-
-def triangles(count: int, side: float = 1.0, first: float = 0.0) -> Any:
-    """A square mesh of count × count squares, each of two triangles."""
-    line = np.linspace(first, first + side, count + 1)
-    return finite_elements().MeshTri.init_tensor(line, line)
+    return getattr(finite_elements(), kind).init_tensor(line, line)

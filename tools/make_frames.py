@@ -14,10 +14,11 @@ import torch
 
 from tools.hyperelastic_energies import invariants_of
 from tools.make_leaflet import NODES, PROTOCOLS, SPACING, Leaflet, pull
-from tools.options import Options
+from tools.options import Folder, Options, reading
 from warp_peri.errors import exit_status
-from warp_peri.files.atomic import write_text
+from warp_peri.files.atomic import write_text, written
 from warp_peri.points.arguments import NotNegative
+from warp_peri.points.points import grid_points
 
 C1, C2 = 3.5, 1.5
 """Of the sheet [kPa]."""
@@ -45,8 +46,7 @@ class Rubber(Leaflet):
 def write_frames(folder: Path, *, noise: float = NOISE, seed: int = 7) -> None:
     """A table of x, y, u, v [pixels] for each protocol and level."""
     rng = np.random.default_rng(seed)
-    line = PIXELS * np.arange(NODES)
-    x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    x = grid_points(PIXELS * np.arange(NODES), 2)
     frames = [pull(Rubber(), PROTOCOLS[n], LEVELS, TRAVEL)[0] for n in USED]
     for number, field in enumerate(np.concatenate(frames) * PIXELS / SPACING):
         table = np.hstack([x, field + noise * rng.standard_normal(field.shape)])
@@ -59,9 +59,10 @@ def main() -> None:
     parser = Options(__doc__, options={
         "noise": (NOISE, "[pixels]", NotNegative), "overwrite": (False, "frames that are there"),
     })  # fmt: skip
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=reading(Folder))
     given = parser.parse_args()
-    given.folder.mkdir(parents=True, exist_ok=True)
+    with written(given.folder):
+        given.folder.mkdir(parents=True, exist_ok=True)
     if any(given.folder.glob("frame*.csv")) and not given.overwrite:
         parser.error(f"folder: {given.folder} has frames already; name another, or --overwrite")
     write_frames(given.folder, noise=given.noise)

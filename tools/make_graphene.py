@@ -16,22 +16,24 @@ if __name__ == "__main__":
 import numpy as np
 from tqdm import tqdm
 
-from tools.cache import check_made, file_hash, in_parallel, read_record
+from tools.cache import check_made, in_parallel, read_record
 from tools.elastic import elastic_constants
 from tools.graphene import DISK_RADIUS, SHEET_CELLS, THICKNESS, area_per_atom, bond_length
 from tools.lammps_session import CARBON_MASS, POTENTIAL
 from tools.loads import DESIGNED, TEST, TRAINING, VALIDATION, Load, WaveLoad
-from tools.options import Options
+from tools.options import JOBS, Folder, NewFile, Options
 from tools.samples import Piece, Sample, cache_file, solve_samples
 from tools.statics import TOLERANCE
 from warp_peri import Dataset, Points, Samples
 from warp_peri.atoms import coarse_grain, smoothing_matrix
 from warp_peri.atoms.calculators import potential_file
+from warp_peri.cli.main import hash_of
 from warp_peri.cluster import scheduler
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
 from warp_peri.points.arguments import Positive
 from warp_peri.points.dataset import save_dataset
+from warp_peri.points.points import grid_points
 
 LOADS: dict[str, Sequence[Load]] = {"designed": DESIGNED}
 """What the training set may be made of in place of TRAINING, by name."""
@@ -131,7 +133,7 @@ def origin(sheet: Piece, disk: Piece, source: str) -> dict[str, Any]:
     return {
         "source": source,
         "versions": numbers,
-        "potential": {"file": potential.name, "sha256": file_hash(potential)},
+        "potential": {"file": potential.name, "sha256": hash_of(potential)},
         "bond_length": sheet.bond,
         "box": sheet.box,
         "disk_radius": disk.radius,
@@ -204,25 +206,23 @@ def on_nodes(
     spacing: float,
     shape: Literal["cone", "paraboloid"] = "cone",
     radius: float = SMOOTHING_RADIUS,
-    shift: tuple[float, float] = (0.0, 0.0),
 ) -> Samples:
     """Fields on the atoms of one body, smoothed to a lattice of nodes.
 
     `body`: a sheet is evaluated through its periodic images; `reference`: of the atoms [Å], shape
     [A, 2]; `displacement`, `force`: of the atoms [Å] and [eV/Å], shape [S, A, 2]; `spacing`: of the
     nodes [Å]; `shape`: of the smoothing function, "cone" or "paraboloid"; `radius`: of the
-    smoothing function [Å]; `shift`: where the middle node lies, seen from the body's origin [Å].
+    smoothing function [Å].
     """
     count = int(REACH / spacing)
-    line = spacing * np.arange(-count, count + 1)
-    x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    x = grid_points(spacing * np.arange(-count, count + 1), 2)
     if body.box is None:
         distance = np.linalg.norm(x, axis=1)
         x, interior = x[distance <= REACH], distance[distance <= REACH] < INTERIOR
     else:
         interior = (np.abs(x) <= INTERIOR).all(axis=1)
     omega = smoothing_matrix(
-        reference, x + shift, radius=radius, shape=shape, box=body.box, spacing=spacing
+        reference, x, radius=radius, shape=shape, box=body.box, spacing=spacing
     )
     u, b = coarse_grain(
         omega,
@@ -232,7 +232,7 @@ def on_nodes(
         node_area=spacing**2,
         thickness=THICKNESS,
     )
-    return Samples(Points(x + shift, interior, spacing, axis=ZIGZAG), u, b)
+    return Samples(Points(x, interior, spacing, axis=ZIGZAG), u, b)
 
 
 def load_record(body: Piece, loads: Sequence[Load]) -> dict[str, np.ndarray]:
@@ -268,10 +268,10 @@ def shape_change(
 
 
 OPTIONS: dict[str, tuple[Any, ...]] = {
-    "out": (Path("data/graphene_0K.h5"), "file to write"),
-    "jobs": (-1, "processes; -1 is one for each core"),
+    "out": (Path("data/graphene_0K.h5"), "file to write", NewFile),
+    "jobs": JOBS,
     "scheduler": (str, "address of a Dask scheduler, whose workers do the work"),
-    "cache": (Path, "folder of finished samples, beside the file by default"),
+    "cache": (Path, "folder of finished samples, beside the file by default", Folder),
     "smoothing_radius": (SMOOTHING_RADIUS, "R [Å]", Positive),
     "loads": (("waves", *LOADS), "to learn from: seventy waves, or two loads, each both ways"),
     "overwrite": (False, "replace a file of other settings, too"),

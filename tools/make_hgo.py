@@ -12,7 +12,7 @@ from functools import lru_cache
 from itertools import count as numbers_from
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
@@ -21,13 +21,13 @@ import numpy as np
 from tqdm import tqdm
 
 from tools.cache import check_made, digest, in_parallel, kept
-from tools.hyperelastic_elements import Elements, NotSolved, finite_elements, triangles
+from tools.hyperelastic_elements import Elements, NotSolved, finite_elements, square_mesh
 from tools.hyperelastic_energies import Energy, Family, hgo
-from tools.options import Options
+from tools.options import JOBS, Folder, Options, fields_of
 from warp_peri import Dataset, InputError, Points, Samples, save
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
-from warp_peri.points.arguments import REDUCED, Natural
+from warp_peri.points.arguments import REDUCED, Bound, Natural, NotNegative, Positive, typed
 
 NODES = 21
 """Nodes a side of the square."""
@@ -64,6 +64,7 @@ def random_field(
     return field
 
 
+@typed
 @dataclass(frozen=True)
 class Material:
     """What the sheet is made of.
@@ -72,15 +73,11 @@ class Material:
     [degree]; 90 is one family twice.
     """
 
-    E: float = 0.3278
-    nu: float = 0.15
-    k1: float = 0.1
-    k2: float = 1.5
+    E: Positive = 0.3278
+    nu: Annotated[float, Bound("a number between −1 and ½", lambda nu: -1 < nu < 0.5)] = 0.15
+    k1: NotNegative = 0.1
+    k2: NotNegative = 1.5
     angle: float = 90.0
-
-    def __post_init__(self) -> None:
-        if not (self.E > 0 and -1 < self.nu < 0.5 and self.k1 >= 0 and self.k2 >= 0):
-            raise InputError(f"material: expected E > 0, −1 < ν < ½, k1, k2 ≥ 0, got {self}")
 
     @property
     def energy(self) -> Energy:
@@ -205,9 +202,9 @@ def solve_body(material: Material, shape: str, seed: int) -> tuple[np.ndarray, n
 def mesh_of(shape: str) -> Elements:
     """Triangles on the nodes of a body, built once in a process."""
     if shape in SQUARES:
-        mesh = triangles(side_of(shape) - 1, SPACING * (side_of(shape) - 1))
+        mesh = square_mesh("MeshTri", side_of(shape) - 1, SPACING * (side_of(shape) - 1))
     else:
-        mesh = triangles(40, 2.0, -1.0)
+        mesh = square_mesh("MeshTri", 40, 2.0, -1.0)
         within = (np.linalg.norm(mesh.p[:, mesh.t], axis=0) <= MESHED_RADIUS + 1e-3).all(axis=0)
         mesh = mesh.restrict(np.flatnonzero(within))
     return Elements(mesh, finite_elements().ElementTriP1(), order=2)
@@ -223,13 +220,13 @@ def on_nodes(mesh: Elements, u: np.ndarray, x: np.ndarray) -> np.ndarray:
 def main() -> None:
     """Make the data from a shell."""
     how: dict[str, tuple[Any, ...]] = {
-        "out": (Path("data/hgo"), "folder of samples; the data set is a file beside it"),
+        "out": (Path("data/hgo"), "folder of samples; the data set is a file beside it", Folder),
         "counts": ([200, 25, 25, 10], "samples of train, val, test and disks", Natural),
         "seed": (1000, "of the first load", Natural),
-        "jobs": (-1, "processes; -1 is one for each core"),
+        "jobs": JOBS,
         "overwrite": (False, "replace a file of other settings, too"),
     }
-    sheet = {name: (value, "of the energy") for name, value in asdict(Material()).items()}
+    sheet = fields_of(Material, "of the energy")
     given = vars(Options(__doc__, options=how | sheet).parse_args())
     material = Material(**{name: given[name] for name in sheet})
     if len(given["counts"]) != 4:

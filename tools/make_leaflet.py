@@ -9,7 +9,7 @@ import os
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
@@ -19,13 +19,14 @@ import scipy.sparse as sp
 from tqdm import tqdm
 
 from tools.cache import digest, in_parallel, kept
-from tools.hyperelastic_elements import Elements, quadrilaterals
+from tools.hyperelastic_elements import Elements, square_mesh
 from tools.hyperelastic_energies import Energy, Family, plane_stress_hgo
-from tools.options import Options
-from warp_peri import InputError, Points, Samples
+from tools.options import JOBS, Folder, Options, fields_of
+from warp_peri import Points, Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
-from warp_peri.points.arguments import REDUCED
+from warp_peri.points.arguments import REDUCED, Bound, NotNegative, Positive, typed
+from warp_peri.points.points import grid_points
 
 PROTOCOLS = ((1, 1), (1, 0.66), (1, 0.33), (0.66, 1), (0.33, 1), (0.05, 1), (1, 0.1))
 """Pull along x and y, as parts of the largest."""
@@ -36,6 +37,7 @@ NODES, SPACING, COLLAR = 33, 0.05, 6
 SIDE, TINES_AT, TINE, SPRING, PULL = 1.7, 0.75, 0.05, 60.0, 0.45
 
 
+@typed
 @dataclass(frozen=True)
 class Leaflet:
     """The sheet.
@@ -45,16 +47,12 @@ class Leaflet:
     `thickness`; 0 for an even sheet.
     """
 
-    mu: float = 10.0
-    k1: float = 15.0
-    k2: float = 2.0
+    mu: Positive = 10.0
+    k1: NotNegative = 15.0
+    k2: NotNegative = 2.0
     first: float = -25.0
     second: float = -65.0
-    uneven: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not (self.mu > 0 and self.k1 >= 0 and self.k2 >= 0):
-            raise InputError(f"leaflet: expected mu > 0, k1, k2 ≥ 0, got {self}")
+    uneven: Annotated[float, Bound("a number from −10 to 10", lambda x: abs(x) <= 10)] = 0.0
 
     @property
     def energy(self) -> Energy:
@@ -125,12 +123,11 @@ def pull(
     leaflet: Leaflet, parts: tuple[float, float], levels: int = LEVELS, travel: float = PULL
 ) -> tuple[np.ndarray, np.ndarray]:
     """Displacement on the lattice and pull of two sides at every level."""
-    mesh = Elements(quadrilaterals(34, SIDE, -SIDE / 2))
+    mesh = Elements(square_mesh("MeshQuad", 34, SIDE, -SIDE / 2))
     sides = [(axis, sign, tines(mesh, axis, sign)) for axis in (0, 1) for sign in (1, -1)]
     mesh.springs = sum((springs for _, _, springs in sides[1:]), sides[0][2]).tocsr()
     mesh.dx = mesh.dx * leaflet.thickness(mesh.quadrature)
-    line = SPACING * (np.arange(NODES) - NODES // 2)
-    x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    x = grid_points(SPACING * (np.arange(NODES) - NODES // 2), 2)
     u = np.zeros(2 * mesh.nodes)
     nothing = np.zeros(0, int)
     frames, pulls = [], []
@@ -164,11 +161,8 @@ def tines(mesh: Elements, axis: int, sign: int) -> sp.csr_matrix:
 
 def main() -> None:
     """Make the frames from a shell."""
-    how: dict[str, tuple[Any, str]] = {
-        "out": (Path("data/leaflet"), "folder of protocols"),
-        "jobs": (-1, "processes"),
-    }
-    sheet = {name: (value, "of the leaflet") for name, value in asdict(Leaflet()).items()}
+    how = {"out": (Path("data/leaflet"), "folder of protocols", Folder), "jobs": JOBS}
+    sheet = fields_of(Leaflet, "of the leaflet")
     given = Options(__doc__, options=how | sheet).parse_args()
     leaflet = Leaflet(**{name: getattr(given, name) for name in sheet})
     for name, frames in make_leaflet(given.out, leaflet=leaflet, jobs=given.jobs).items():

@@ -28,11 +28,12 @@ from tools.cache import check_made, in_parallel, read_record
 from tools.graphene import THICKNESS
 from tools.loads import Load
 from tools.make_graphene import SPACINGS, load_record, mass_density, on_nodes, origin, solve_all
-from tools.options import Options
+from tools.options import JOBS, Folder, Options, one_of
 from tools.samples import Piece, Sample
 from tools.thermal import (
     REDUCTIONS,
     Bath,
+    Iota,
     Plan,
     Task,
     ThermalRun,
@@ -45,6 +46,7 @@ from tools.thermal import (
 from warp_peri import Dataset, InputError, Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
+from warp_peri.points.arguments import Count, Natural, Positive
 from warp_peri.points.dataset import save_dataset
 
 DATA = Path("data")
@@ -208,20 +210,22 @@ def run_all(
     return at_rest, result
 
 
-OPTIONS: dict[str, tuple[Any, str]] = {
-    "out": (DATA, "folder for the files"),
-    "reduction": ([*REDUCTIONS], "of shared, plain, iota; all cost no more than one"),
-    "factors": ([1.0], "on the loads, e.g. 1 0.25 0.1"),
-    "temperature": (Bath.temperature, "[K]"),
-    "steps": (Bath.steps, "of a run"),
-    "transient": (Bath.transient, "steps that averages leave out"),
-    "iota": (Bath.iota, "of (2.10)"),
+OPTIONS: dict[str, tuple[Any, ...]] = {
+    "out": (DATA, "folder for the files", Folder),
+    "reduction": (
+        [*REDUCTIONS], "of shared, plain, iota; all cost no more than one", one_of(REDUCTIONS)
+    ),
+    "factors": ([1.0], "on the loads, e.g. 1 0.25 0.1", Positive),
+    "temperature": (Bath.temperature, "[K]", Positive),
+    "steps": (Bath.steps, "of a run", Count),
+    "transient": (Bath.transient, "steps that averages leave out", Natural),
+    "iota": (Bath.iota, "of (2.10)", Iota),
     "fine": (False, "also on nodes 2.5 Å apart"),
-    "jobs": (-1, "processes; -1 is one for each core"),
-    "cache": (Path, "folder of finished runs, in --out by default"),
+    "jobs": JOBS,
+    "cache": (Path, "folder of finished runs, in --out by default", Folder),
     "overwrite": (False, "replace files of other settings, too"),
     "quiet": (False, "no progress bar"),
-}
+}  # fmt: skip
 
 
 def main(arguments: list[str] | None = None) -> int:

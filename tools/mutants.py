@@ -20,7 +20,9 @@ from typing import Annotated
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
-from tools.options import Options
+from tools.options import NewFile, Options
+from warp_peri.core.record import read_json
+from warp_peri.errors import InputError, exit_status
 from warp_peri.files.atomic import write_text
 from warp_peri.points.arguments import Bound
 
@@ -58,11 +60,13 @@ def main() -> None:
     known = Annotated[int, Bound("the number of a fault", faults.__contains__)]
     options = {
         "only": ([*faults], "faults of these numbers", known),
-        "json": (Path, "what caught each fault"),
+        "json": (Path, "what caught each fault", NewFile),
     }
     given = Options(__doc__, options=options).parse_args()
     chosen = {number: faults[number] for number in given.only}
-    found = json.loads(given.json.read_text()) if given.json and given.json.exists() else {}
+    found = read_json(given.json) if given.json and given.json.exists() else {}
+    if not isinstance(found, dict):
+        raise InputError(f"{given.json}: expected tests by number of a fault, got {found!r:.60}")
     with tempfile.TemporaryDirectory() as folder:
         root = Path(shutil.copytree(ROOT, f"{folder}/tree", symlinks=True, ignore=LEFT_OUT))
         rooms = {test for fault in chosen.values() for test in fault["tests"]}
@@ -83,4 +87,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_status(main))

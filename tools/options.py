@@ -1,20 +1,40 @@
 """Options of a script: its docstring as help, and a table of names, defaults and words."""
 
 import argparse
-import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, get_args, get_type_hints
 
-from warp_peri.points.arguments import Bound
+from warp_peri.files.atomic import written
+from warp_peri.points.arguments import LARGEST, Bound
 
+Folder = Annotated[
+    Path, Bound("a folder or a new name", lambda path: path.resolve().name and not path.is_file())
+]
+NewFile = Annotated[
+    Path, Bound("a file or a new name", lambda path: path.resolve().name and not path.is_dir())
+]
+JOBS = -1, "processes; -1 is one for each core", Annotated[
+    int, Bound("a number of processes ≥ 1, or -1", lambda value: value >= 1 or value == -1)
+]  # fmt: skip
 RUNS = Path(__file__).resolve().parent.parent / "runs"
 
 
 def at_least(count: int) -> Any:
     """The kind of whole numbers from this one on."""
     return Annotated[int, Bound(f"a whole number ≥ {count}", lambda value: value >= count)]
+
+
+def one_of(words: Sequence[str]) -> Any:
+    """The kind of these words."""
+    return Annotated[str, Bound(f"of {', '.join(words)}", words.__contains__)]
+
+
+def fields_of(kind: type, words: str) -> dict[str, tuple[Any, ...]]:
+    """Options for the fields of a dataclass: their defaults and, by their hints, their bounds."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {name: (getattr(kind, name), words, hint) for name, hint in hints.items()}
 
 
 def reading(kind: Any) -> Callable[[str], Any]:
@@ -26,7 +46,7 @@ def reading(kind: Any) -> Callable[[str], Any]:
             value = of(text)
         except re.error as error:
             raise argparse.ArgumentTypeError(f"expected a pattern ({error}), got {text}") from None
-        finite = of not in (int, float) or math.isfinite(value)
+        finite = of not in (int, float) or abs(value) <= LARGEST
         if not finite or (bound and not bound.holds(value)):
             words = bound.words if bound else "a finite number"
             raise argparse.ArgumentTypeError(f"expected {words}, got {text}")
@@ -58,7 +78,8 @@ class Options(argparse.ArgumentParser):
         super().__init__(description=doc, formatter_class=formatter)
         every, self._lists = dict(options or {}), {}
         if out:
-            every["out"] = RUNS / out, "folder for the results"
+            every["out"] = RUNS / out, "folder for the results", Folder
+        self._makes = bool(out)
         for name, (default, words, *bound) in every.items():
             one = default[0] if isinstance(default, list) else default
             kind = bound[0] if bound else one if isinstance(one, type) else type(one)
@@ -78,12 +99,12 @@ class Options(argparse.ArgumentParser):
             self.add_argument(
                 f"--{name.replace('_', '-')}", **how, help=(words + told).replace("%", "%%")
             )
-        self._makes = bool(out)
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """What is given; the folder of results is made."""
         given = super().parse_args(args, namespace)
         vars(given).update(self._lists | vars(given))
         if self._makes:
-            given.out.mkdir(parents=True, exist_ok=True)
+            with written(given.out):
+                given.out.mkdir(parents=True, exist_ok=True)
         return given

@@ -17,6 +17,7 @@ from warp_peri.atoms.calculators import LammpsError, lammps_class, lammps_words
 from warp_peri.materials.lps import bernstein_basis
 from warp_peri.materials.lps_force import Bonds
 from warp_peri.points.families import HORIZON_TOLERANCE
+from warp_peri.points.points import nearest
 
 
 @dataclass(frozen=True)
@@ -59,14 +60,13 @@ class Tables:
 
 
 def tables(
-    bonds: Bonds, x: np.ndarray, box: np.ndarray, u: np.ndarray, g: np.ndarray, **model
+    bonds: Bonds, x: np.ndarray, box: tuple[float, float], u: np.ndarray, g: np.ndarray, **model
 ) -> Tables:
     """The tables of a periodic point set, bond by bond."""
     families = bonds.families
     row, neighbour = families.row, families.neighbour
     if families.lattice is None:
-        xi = x[neighbour] - x[np.repeat(np.arange(len(x)), np.diff(row))]
-        xi -= np.round(xi / box) * box
+        xi = nearest(x[neighbour] - x[np.repeat(np.arange(len(x)), np.diff(row))], box)
         bond_class = np.arange(len(neighbour), dtype=np.int32)
     else:
         xi = np.tile(families.pattern, (len(x), 1))
@@ -76,21 +76,14 @@ def tables(
     return Tables(*links, np.ascontiguousarray(xi), *classes, **model, u=u, g=g)
 
 
-def torch_scatter(t: Tables, dtype: torch.dtype) -> tuple[Callable, Callable]:
+def torch_scatter(t: Tables) -> tuple[Callable, Callable]:
     """Forward, and forward and backward to (u, D, α), by gather and index_add in torch."""
-
-    def number(values):
-        return torch.tensor(values, dtype=dtype)
-
-    size = len(t.u)
-    owner = torch.from_numpy(np.repeat(np.arange(size), np.diff(t.row)))
-    to, c = torch.from_numpy(t.neighbour.astype(np.int64)), torch.from_numpy(t.bond_class)
-    c = c.to(torch.int64)
-    xi, r, weight, basis = map(number, (t.xi, t.r, t.weight, t.basis))
+    size, owners = len(t.u), np.repeat(np.arange(len(t.u)), np.diff(t.row))
+    owner, to, c = (torch.tensor(n, dtype=torch.int64) for n in (owners, t.neighbour, t.bond_class))
+    xi, r, weight, basis = map(torch.tensor, (t.xi, t.r, t.weight, t.basis))
     square = (xi * xi).sum(dim=1)
     direction = xi / square[:, None]
-    zero, zeros = torch.zeros(size, dtype=dtype), torch.zeros(size, 2, dtype=dtype)
-    g = number(t.g)
+    zero, zeros, g = xi.new_zeros(size), xi.new_zeros(size, 2), torch.tensor(t.g)
 
     def force(u, D, alpha):
         kw = (weight * r**-alpha * (basis @ D))[c]
@@ -101,7 +94,7 @@ def torch_scatter(t: Tables, dtype: torch.dtype) -> tuple[Callable, Callable]:
         shear = zeros.index_add(0, owner, (kw * stretch)[:, None] * direction)
         return -(2 * (t.lam - t.mu) * bulk + 16 * t.mu * shear) / m[:, None]
 
-    start = [number(value) for value in (t.u, t.D, t.alpha)]
+    start = [torch.tensor(value, dtype=xi.dtype) for value in (t.u, t.D, t.alpha)]
 
     def forward():
         with torch.no_grad():

@@ -19,29 +19,26 @@ whole = numba.uint64
 
 def _influence(r, weight, binomial, alpha, D, horizon, kw):
     """K·W of every class of bonds."""
-    one = kw.dtype.type(1)
     for c in prange(len(r)):
-        x = min(r[c] / horizon, one)
-        power, total = one, one - one
+        x = min(r[c] / horizon, 1.0)
+        power, total = 1.0, 0.0
         for k in range(len(D)):
-            total = total * (one - x) + D[k] * binomial[k] * power
+            total = total * (1.0 - x) + D[k] * binomial[k] * power
             power *= x
         kw[c] = weight[c] * r[c] ** -alpha * total
 
 
-def influence_of(t: Tables, dtype: Any, jit: Any) -> tuple[Callable[[], None], np.ndarray]:
-    """What fills K·W of the classes, and the array that it fills."""
-    r, weight, D, alpha = (np.asarray(v, dtype) for v in (t.r, t.weight, t.D, t.alpha))
-    binomial, kw = comb(len(D) - 1, np.arange(len(D))).astype(dtype), np.empty(len(r), dtype)
-    fill = jit(_influence)
-    return lambda: fill(r, weight, binomial, alpha[()], D, dtype(t.horizon), kw), kw
+def influence_of(t: Tables) -> tuple[Any, ...]:
+    """What K·W of the classes is computed from."""
+    binomial = comb(len(t.D) - 1, np.arange(len(t.D)))
+    return t.r, t.weight, binomial, float(t.alpha), t.D, float(t.horizon)
 
 
 @parallel
 def _dilatation(row, neighbour, same, r, xi, k, u, m, theta):
     """Weighted volume and dilatation of every node; `same`: 1 where one node's bonds serve all."""
     for i in prange(len(m)):
-        volume = total = k.dtype.type(0)
+        volume = total = 0.0
         for e in range(row[i], row[i + 1]):
             p, j = e - same * row[i], neighbour[e]
             volume += k[p] * r[p] * r[p]
@@ -53,7 +50,7 @@ def _dilatation(row, neighbour, same, r, xi, k, u, m, theta):
 def _force(row, neighbour, same, xi, k, u, m, theta, bulk, shear, out):
     """L u at every node."""
     for i in prange(len(m)):
-        a = b = k.dtype.type(0)
+        a = b = 0.0
         for e in range(row[i], row[i + 1]):
             p, j = e - same * row[i], neighbour[e]
             x, y = xi[p, 0], xi[p, 1]
@@ -68,7 +65,7 @@ def _force(row, neighbour, same, xi, k, u, m, theta, bulk, shear, out):
 def _pressure(row, neighbour, same, back, xi, k, m, h, bulk, tau):
     """2 / m times the gradient to θ, gathered over the bonds back."""
     for i in prange(len(m)):
-        total = k.dtype.type(0)
+        total = 0.0
         for e in range(row[i], row[i + 1]):
             p, j = e - same * row[i], neighbour[e]
             mine, far = k[p], k[back[p]]
@@ -85,7 +82,7 @@ def _gradient(
     size = len(m) // len(volumes) + 1
     for piece in prange(len(volumes)):
         for i in range(piece * size, min((piece + 1) * size, len(m))):
-            a = b = volume = k.dtype.type(0)
+            a = b = volume = 0.0
             for e in range(row[i], row[i + 1]):
                 p, j = e - same * row[i], neighbour[e]
                 mine, far, x, y = k[p], k[back[p]], xi[p, 0], xi[p, 1]
@@ -114,41 +111,37 @@ def _gradient(
 @parallel
 def _by_influence(r, weight, binomial, alpha, D, horizon, by_kw, by_D, by_alpha):
     """Gradients to D and α, in pieces that no two threads add to."""
-    pieces, one = len(by_D), by_kw.dtype.type(1)
-    size = len(r) // pieces + 1
-    for piece in prange(pieces):
-        basis = np.empty(len(D), by_kw.dtype)
+    size = len(r) // len(by_D) + 1
+    for piece in prange(len(by_D)):
+        basis = np.empty(len(D))
         for c in range(piece * size, min((piece + 1) * size, len(r))):
-            x = min(r[c] / horizon, one)
-            power, total = by_kw[c] * weight[c] * r[c] ** -alpha, one - one
+            x = min(r[c] / horizon, 1.0)
+            power, total = by_kw[c] * weight[c] * r[c] ** -alpha, 0.0
             for k in range(len(D)):
                 basis[k] = binomial[k] * power
                 power *= x
-            power = one
+            power = 1.0
             for k in range(len(D) - 1, -1, -1):
                 by_D[piece, k] += basis[k] * power
                 total += D[k] * basis[k] * power
-                power *= one - x
+                power *= 1.0 - x
             by_alpha[piece] -= np.log(r[c]) * total
 
 
-def lists(t: Tables, dtype: Any) -> tuple[Callable[[], np.ndarray], Callable[[], list]]:
+def lists(t: Tables) -> tuple[Callable[[], np.ndarray], Callable[[], list]]:
     """Forward, and forward and gradients to u, D and α, in parallel loops over lists of bonds."""
-    fill, kw = influence_of(t, dtype, parallel)
+    fill, shape, kw = parallel(_influence), influence_of(t), np.empty(len(t.r))
     same, pieces = int(len(t.r) < len(t.neighbour)), 2 * numba.get_num_threads()
     bonds = slice(t.row[1] if same else None)
     of = t.bond_class[bonds]
     back = np.arange(len(of)) if same else t.reverse
-    xi, u, g = (np.ascontiguousarray(v, dtype) for v in (t.xi[bonds], t.u, t.g))
-    r, degree, k = t.r.astype(dtype)[of], len(t.D) - 1, np.empty(len(of), dtype)
-    m, theta, tau, out = *np.empty((3, len(u)), dtype), np.empty_like(u)
-    bulk, shear = dtype(-2 * (t.lam - t.mu)), dtype(-16 * t.mu)
-    shape = [np.asarray(v, dtype) for v in (t.r, t.weight, comb(degree, np.arange(degree + 1)))]
-    shape += [dtype(t.alpha), np.asarray(t.D, dtype), dtype(t.horizon)]
+    xi, u, g = map(np.ascontiguousarray, (t.xi[bonds], t.u, t.g))
+    r, k, (m, theta, tau), out = t.r[of], np.empty(len(of)), np.empty((3, len(u))), np.empty_like(u)
+    bulk, shear = -2 * (t.lam - t.mu), -16 * t.mu
     links, by_u = (t.row, t.neighbour, same), np.empty_like(u)
 
     def forward() -> np.ndarray:
-        fill()
+        fill(*shape, kw)
         np.take(kw, of, out=k)
         _dilatation(*links, r, xi, k, u, m, theta)
         _force(*links, xi, k, u, m, theta, bulk, shear, out)
@@ -156,12 +149,12 @@ def lists(t: Tables, dtype: Any) -> tuple[Callable[[], np.ndarray], Callable[[],
 
     def both() -> list[np.ndarray]:
         forward()
-        h, by_k = g / m[:, None], np.zeros((pieces if same else 1, len(of)), dtype)
+        h, by_k = g / m[:, None], np.zeros((pieces if same else 1, len(of)))
         _pressure(*links, back, xi, k, m, h, bulk, tau)
-        state, volumes = (u, m, theta, h, tau), np.zeros(pieces, dtype)
+        state, volumes = (u, m, theta, h, tau), np.zeros(pieces)
         _gradient(*links, back, xi, k, *state, bulk, shear, volumes, by_u, by_k)
-        by_kw = np.bincount(of, by_k.sum(axis=0)).astype(dtype) if same else by_k[0]
-        by_D, by_alpha = np.zeros((pieces, degree + 1), dtype), np.zeros(pieces, dtype)
+        by_kw = np.bincount(of, by_k.sum(axis=0)) if same else by_k[0]
+        by_D, by_alpha = np.zeros((pieces, len(t.D))), np.zeros(pieces)
         _by_influence(*shape, by_kw, by_D, by_alpha)
         return [by_u, by_D.sum(axis=0), by_alpha.sum()]
 
@@ -187,7 +180,7 @@ def _row_dilatation(steps, bonds, factor, planes, margin):
     rows = planes.shape[1] - 2 * margin
     for n in prange(rows):
         i = n + margin
-        total = np.zeros(rows, planes.dtype)
+        total = np.zeros(rows)
         x, y = (planes[0, i, margin : margin + rows], planes[1, i, margin : margin + rows])
         for p in range(len(steps)):
             j, shift = i + steps[p, 0], margin + steps[p, 1]
@@ -203,7 +196,7 @@ def _row_force(steps, bonds, bulk, shear, planes, margin, out):
     side = len(out)
     for n in prange(side):
         i = n + margin
-        fx, fy = np.zeros(side, planes.dtype), np.zeros(side, planes.dtype)
+        fx, fy = np.zeros(side), np.zeros(side)
         x, y = planes[0, i, margin : margin + side], planes[1, i, margin : margin + side]
         theta = planes[2, i, margin : margin + side]
         for p in range(len(steps)):
@@ -220,20 +213,20 @@ def _row_force(steps, bonds, bulk, shear, planes, margin, out):
         out[n, :, 0], out[n, :, 1] = fx, fy
 
 
-def rows(t: Tables, dtype: Any) -> Callable[[], np.ndarray]:
+def rows(t: Tables) -> Callable[[], np.ndarray]:
     """Forward on side × side nodes numbered row by row, the loops along rows without gathers."""
     side, family = round(np.sqrt(len(t.u))), t.row[1] - t.row[0]
     xi, bond_class = t.xi[:family], t.bond_class[:family]
     steps = np.rint(xi / np.abs(xi[xi != 0]).min()).astype(np.int64)
     reach = int(np.abs(steps).max())
-    fill, kw = influence_of(t, dtype, numba.njit())
-    bonds = np.column_stack([xi, 1 / (xi**2).sum(axis=1)]).astype(dtype)
-    planes = np.zeros((3, side + 4 * reach, side + 4 * reach), dtype)
-    u, out = t.u.reshape(side, side, 2).astype(dtype), np.empty((side, side, 2), dtype)
-    r, lam, mu = t.r.astype(dtype)[bond_class], dtype(t.lam), dtype(t.mu)
+    fill, shape, kw = numba.njit()(_influence), influence_of(t), np.empty(len(t.r))
+    bonds = np.column_stack([xi, 1 / (xi**2).sum(axis=1)])
+    planes = np.zeros((3, side + 4 * reach, side + 4 * reach))
+    u, out = t.u.reshape(side, side, 2), np.empty((side, side, 2))
+    r, lam, mu = t.r[bond_class], t.lam, t.mu
 
     def forward() -> np.ndarray:
-        fill()
+        fill(*shape, kw)
         k = kw[bond_class]
         m = (k * r**2).sum()
         _laid_out(u, planes, 2 * reach)

@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from tools.cache import digest, file_hash, write_arrays
+from tools.cache import digest, write_arrays
 from tools.graphene import THICKNESS, area_per_atom, disk, sheet
 from tools.lammps_session import LammpsSession
 from tools.loads import Load, PatchLoad, RimLoad, atom_force
 from tools.statics import TOLERANCE, AtomsAtRest, ConvergenceError, Statics
 from warp_peri.atoms.calculators import LammpsError
+from warp_peri.cli.main import hash_of
 
 TRAINING_STRAIN = 0.02
 """Largest bond strain of every training sample (You et al. 2021, section 6)."""
@@ -88,7 +89,7 @@ def body_record(body: Piece) -> dict[str, Any]:
     """What determines the forces between the atoms of a body, for the name of a cache file."""
     return {
         "lammps": version("lammps"),
-        "potential": file_hash(body.potential),
+        "potential": hash_of(Path(body.potential)),
         "positions": hashlib.sha256(body.positions().tobytes()).hexdigest(),
         "box": body.box,
         "thickness": THICKNESS,

@@ -8,6 +8,7 @@ import scipy.sparse as sp
 from scipy.spatial import cKDTree
 
 from tools.lammps_session import LammpsSession
+from warp_peri.points.points import nearest
 from warp_peri.solvers.systems import symmetric_factors
 
 STEP = 1e-4
@@ -190,12 +191,10 @@ class Statics:
         return self._session.forces(positions) + load, load
 
     def _balanced(self, force: np.ndarray, positions: np.ndarray) -> np.ndarray:
-        force = force - force.mean(axis=0)
-        return force if self._box is not None else without_rotation(force, positions)
+        return settled(force, positions, self._box)
 
     def _without_rigid_motion(self, u: np.ndarray) -> np.ndarray:
-        u = u - u.mean(axis=0)
-        return u if self._box is not None else without_rotation(u, self.reference)
+        return settled(u, self.reference, self._box)
 
     def _factorise(self, positions: np.ndarray):
         """Solver of Hessian · du = r with the rigid motions pinned."""
@@ -218,9 +217,7 @@ class Statics:
 
     def _bond_lengths(self, positions: np.ndarray) -> np.ndarray:
         arm = positions[self.bonds[:, 1]] - positions[self.bonds[:, 0]]
-        if self._box is not None:
-            arm -= self._box * np.rint(arm / self._box)
-        return np.linalg.norm(arm, axis=1)
+        return np.linalg.norm(nearest(arm, self._box), axis=1)
 
 
 def find_bonds(positions: np.ndarray, box: tuple[float, float] | None) -> np.ndarray:
@@ -232,8 +229,13 @@ def find_bonds(positions: np.ndarray, box: tuple[float, float] | None) -> np.nda
     return cKDTree(inside, boxsize=box).query_pairs(BOND_CUTOFF, output_type="ndarray")
 
 
-def without_rotation(field: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """A field less its mean rotation about the middle of the positions, shapes [A, 2]."""
+def settled(
+    field: np.ndarray, positions: np.ndarray, box: tuple[float, float] | None
+) -> np.ndarray:
+    """A field less its mean and, of a body without periods, its mean rotation; shapes [A, 2]."""
+    field = field - field.mean(axis=0)
+    if box is not None:
+        return field
     arm = positions - positions.mean(axis=0)
     turn = np.stack([-arm[:, 1], arm[:, 0]], axis=1)
     return field - turn * (np.vdot(turn, field) / np.vdot(turn, turn))

@@ -9,6 +9,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
@@ -17,13 +18,19 @@ from tools.lammps_session import LammpsSession
 from tools.loads import TEST, TRAINING, VALIDATION, Load
 from tools.make_graphene import graphene_bodies
 from tools.samples import Piece, Sample, body_record, cache_file
-from tools.statics import without_rotation
+from tools.statics import settled
 from warp_peri import InputError
 from warp_peri.atoms.calculators import LammpsError
+from warp_peri.points.arguments import Bound, Count, Natural, Positive, typed
+from warp_peri.points.points import nearest
 
 CACHE_VERSION = 1
 
 
+Iota = Annotated[float, Bound("a number above 0, at most 1", lambda value: 0 < value <= 1)]
+
+
+@typed
 @dataclass(frozen=True)
 class Bath:
     """A heat bath and how long the atoms stay in it.
@@ -33,22 +40,18 @@ class Bath:
     [ps]. The paper's text says 5.0 fs, with which atoms are lost, and 5.0E-16 s, which is taken.
     """
 
-    temperature: float = 300.0
-    steps: int = 4000
-    transient: int = 1200
-    iota: float = 0.01
-    timestep: float = 0.0005
-    damping: float = 0.1
+    temperature: Positive = 300.0
+    steps: Count = 4000
+    transient: Natural = 1200
+    iota: Iota = 0.01
+    timestep: Positive = 0.0005
+    damping: Positive = 0.1
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.temperature) and self.temperature > 0):
-            raise InputError(f"temperature: expected more than 0 K, got {self.temperature}")
-        if not 0 <= self.transient < self.steps:
+        if not self.transient < self.steps:
             raise InputError(
                 f"steps: expected more than the transient of {self.transient}, got {self.steps}"
             )
-        if not 0 < self.iota <= 1:
-            raise InputError(f"iota: expected 0 < ι ≤ 1, got {self.iota}")
 
 
 @dataclass(frozen=True)
@@ -121,9 +124,7 @@ def run(task: Task, at_rest: Sample, bath: Bath, cache: str | os.PathLike[str]) 
         )
         try:
             for step, (x, inner) in enumerate(steps):
-                u = x - reference
-                if box is not None:
-                    u -= box * np.rint(u / box)
+                u = nearest(x - reference, box)
                 smoothed *= 1 - bath.iota
                 smoothed += bath.iota * u
                 if step >= bath.transient:
@@ -213,20 +214,18 @@ def reduced(
     """
     seeds = [plan.seed(number) for number in range(len(plan.groups[group]))]
     tasks = [Task(plan.body, x, factor, seed) for x, seed in zip(plan.groups[group], seeds)]
-    loaded, fields = [runs[task] for task in tasks], []
-    for run, seed in zip(loaded, seeds):
-        if reduction == "shared":
-            field = run.average - runs[plan.unloaded(seed)].average
-        else:
-            field = _unpaired(plan, runs, run, seed, reduction)
-        fields.append(settled(plan.body, reference, field))
+    loaded = [runs[task] for task in tasks]
+    told = (_field(plan, runs, run, seed, reduction) for run, seed in zip(loaded, seeds))
+    fields = [settled(field, reference, plan.body.box) for field in told]
     return np.stack(fields), np.array([run.snr for run in loaded]), np.array(seeds)
 
 
-def _unpaired(
+def _field(
     plan: Plan, runs: Mapping[Task, ThermalRun], run: ThermalRun, seed: int, reduction: str
 ) -> np.ndarray:
-    """Average or smoothed displacement of a run, on the disk less the mean of other seeds."""
+    """Displacement of a run by a reduction; of one alone on the disk less the mean of others."""
+    if reduction == "shared":
+        return np.asarray(run.average - runs[plan.unloaded(seed)].average)
     field = run.average if reduction == "plain" else run.smoothed
     if plan.body.box is not None:
         return field
@@ -251,18 +250,12 @@ def noise(
     if reduction == "shared":
         for group, loads in plan.groups.items():
             for number, second in plan.repeated(group).items():
-                pair = []
-                for seed in (plan.seed(number), second):
-                    loaded = runs[Task(plan.body, loads[number], factor, seed)]
-                    pair.append(loaded.average - runs[plan.unloaded(seed)].average)
-                fields.append((pair[0] - pair[1]) / np.sqrt(2))
+                tasks = (
+                    Task(plan.body, loads[number], factor, s) for s in (plan.seed(number), second)
+                )
+                one, two = (_field(plan, runs, runs[t], t.seed, reduction) for t in tasks)
+                fields.append((one - two) / np.sqrt(2))
     else:
         for seed in plan.every_seed()[plan.seeds :]:
-            fields.append(_unpaired(plan, runs, runs[plan.unloaded(seed)], seed, reduction))
-    return np.stack([settled(plan.body, reference, field) for field in fields])
-
-
-def settled(body: Piece, reference: np.ndarray, field: np.ndarray) -> np.ndarray:
-    """A field without its mean and, on a free body, without its mean rotation; shapes [A, 2]."""
-    field = field - field.mean(axis=0)
-    return field if body.box is not None else without_rotation(field, reference)
+            fields.append(_field(plan, runs, runs[plan.unloaded(seed)], seed, reduction))
+    return np.stack([settled(field, reference, plan.body.box) for field in fields])

@@ -21,7 +21,7 @@ JITTER = 1e-10
 LENGTHS = (np.log(0.1), np.log(60.0))
 """Bounds of the logarithm of a length, in standard deviations of its input."""
 SUBSET = 400
-"""Points that hyperparameters are fitted on; all of them predict."""
+"""Points, evenly from the first to the last, that hyperparameters are fitted on; all predict."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,6 @@ def fit_process(
     kernel: str = "product",
     noise: np.ndarray | None = None,
     mean: float | None = None,
-    subset: int = SUBSET,
     iterations: int = 80,
 ) -> GaussianProcess:
     """A process whose hyperparameters make the data likeliest.
@@ -122,7 +121,6 @@ def fit_process(
         noise: known variance of the values, shape [n], or covariance [n, n]; learned, the same for
             all, if not given.
         mean: of the process before data; that of y if not given.
-        subset: points for the hyperparameters, evenly from the first to the last.
         iterations: of L-BFGS-B.
 
     Raises InputError for shapes that do not fit, numbers that are not finite, an unknown kernel or
@@ -134,7 +132,7 @@ def fit_process(
     base = float(y.mean()) if mean is None else mean
     size = float(np.sqrt(np.mean((y - base) ** 2)))
     size = size if size > 1e-12 else 1.0
-    keep = np.unique(np.linspace(0, len(X) - 1, min(subset, len(X))).astype(int))
+    keep = np.unique(np.linspace(0, len(X) - 1, min(SUBSET, len(X))).astype(int))
     known = None if noise is None else np.asarray(noise, dtype=float)
     part = None if known is None else known[keep] if known.ndim == 1 else known[np.ix_(keep, keep)]
     Z, f = ((X - X.mean(axis=0)) / scale)[keep], (y[keep] - base) / size

@@ -25,7 +25,12 @@ SHARP = 1 / 3
 
 
 class Particles:
-    """The fluid's particles, at rest on a lattice; their images stand for the walls."""
+    """The fluid's particles, at rest on a lattice; their images stand for the walls.
+
+    Of the fluid alone, and always as they are now: `x`, `v`: positions, not folded into the period,
+    and velocities, shape [N, 2]; `rho`: densities, shape [N]; `sigma`: the polymer's stress (xx,
+    xy, yy, zz), `kappa`: velocity gradients (xx, xy, yx, yy), shape [N, 4].
+    """
 
     def __init__(self, flow: ChannelFlow) -> None:
         self.flow, self.t = flow, 0.0
@@ -44,37 +49,15 @@ class Particles:
         self._inverse = zeros(self.fluid, dtype=wp.mat22d)
         self._rho, self._a = zeros(self.fluid), zeros(self.fluid, dtype=wp.vec2d)
         self._mass, self._recorded_for = 1.0, 0.0
+        self.x, self.v = (one.numpy()[: self.fluid] for one in (self._x, self._v))
+        fields = (self._rho, self._sigma, self._kappa)
+        self.rho, self.sigma, self.kappa = (one.numpy() for one in fields)
         self._find()
         self._gather()
-        self._mass = 1 / float(self._rho.numpy().mean())
+        self._mass = 1 / float(self.rho.mean())
         self._record()
         self._gather()
         self._forces()
-
-    @property
-    def x(self) -> np.ndarray:
-        """Positions of the fluid, x not folded into the period, shape [N, 2]."""
-        return np.asarray(self._x.numpy()[: self.fluid])
-
-    @property
-    def v(self) -> np.ndarray:
-        """Velocities of the fluid, shape [N, 2]."""
-        return np.asarray(self._v.numpy()[: self.fluid])
-
-    @property
-    def rho(self) -> np.ndarray:
-        """Densities, shape [N]."""
-        return np.asarray(self._rho.numpy())
-
-    @property
-    def sigma(self) -> np.ndarray:
-        """The polymer's stress (xx, xy, yy, zz), shape [N, 4]."""
-        return np.asarray(self._sigma.numpy())
-
-    @property
-    def kappa(self) -> np.ndarray:
-        """Velocity gradients (xx, xy, yx, yy), shape [N, 4]."""
-        return np.asarray(self._kappa.numpy())
 
     def step(self, stress: Stress, dt: float) -> None:
         """Kick, drift, stress, kick.
@@ -88,7 +71,7 @@ class Particles:
         self.t += dt
         self._follow(dt)
         self._gather()
-        self._sigma.numpy()[:] = stress.advance(self.kappa, dt)
+        self.sigma[:] = stress.advance(self.kappa, dt)
         self._forces()
         self._kick()
 

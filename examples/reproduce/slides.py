@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 
 import warp_peri as wp
 from examples import diffusion, pressurised_crack
-from examples.exact import continuum_symbol
+from examples.exact import continuum_symbol, fitted_order
 from examples.prose import Table, print_tables
 from warp_peri import InputError, Points
 from warp_peri.errors import exit_status
@@ -196,7 +196,7 @@ def functional(d: int, name: str, degree: int) -> list[str]:
         errors.append(abs(w @ np.exp(x @ a) - np.prod(a ** np.array(order))))
         rest = np.exp(x @ a) - sum((x @ a) ** k / factorial(k) for k in range(degree + 1))
         shares.append(errors[-1] / (np.abs(w).sum() * np.abs(rest[w != 0]).max()))
-    rate = np.polyfit(np.log(RADII), np.log(errors), 1)[0]
+    rate = -fitted_order(RADII, errors)
     claimed = degree + 1 - FUNCTIONALS[name]
     return [*map(str, (d, name, degree, read, claimed)), f"{rate:.2f}", f"{max(shares):.2f}"]
 
@@ -242,7 +242,7 @@ def pointwise(d: int, exponent: float, degree: int) -> list[str]:
         y = radius * xi
         found = radius**d * W @ (np.expm1(y @ a) / np.linalg.norm(y, axis=1) ** exponent)
         errors.append(abs(found - exact))
-    rate = np.polyfit(np.log(RADII), np.log(errors), 1)[0]
+    rate = -fitted_order(RADII, errors)
     claimed = f"{degree - exponent + d + 1:.1f}"
     return [f"{d}", f"{exponent:g}", f"{degree}", f"{len(xi)}", claimed, f"{rate:.2f}"]
 
@@ -271,25 +271,9 @@ def error_of(material: Any, points: Points, u: np.ndarray, b: np.ndarray) -> flo
 
 def by_cells(points: Points, horizon: float, mu: float) -> MatrixProblem:
     """The bond-based solid as standard codes have it: nodes weigh a cell, m is the integral."""
-    x, nodes = points.x, np.flatnonzero(points.interior)
-    near = cKDTree(x).query_ball_point(x[nodes], horizon * (1 + HORIZON_TOLERANCE))
-    i = np.repeat(np.arange(len(nodes)), [len(some) for some in near])
-    j = np.concatenate(near)
-    i, j = i[j != nodes[i]], j[j != nodes[i]]
-    xi = x[j] - x[nodes[i]]
-    r = np.linalg.norm(xi, axis=1)
-    volume = 2 * pi * horizon**3 / 3
-    size = 16 * mu / volume * points.spacing**2
-    block = size * xi[:, :, None] * xi[:, None] / r[:, None, None] ** 3
-    row = np.broadcast_to((2 * i[:, None] + np.arange(2))[:, :, None], block.shape)
-
-    def at(column: np.ndarray) -> np.ndarray:
-        return np.broadcast_to((2 * column[:, None] + np.arange(2))[:, None], block.shape)
-
-    entries = np.concatenate([block.ravel(), -block.ravel()])
-    columns = np.concatenate([at(nodes[i]).ravel(), at(j).ravel()])
-    shape = (2 * len(nodes), 2 * len(x))
-    L = sp.coo_array((entries, (np.tile(row.ravel(), 2), columns)), shape=shape).tocsr()
+    bonds = Bonds(points, horizon)
+    kw = points.spacing**2 / bonds.families.r
+    L = assemble(bonds, kw, 2 * pi * horizon**3 / 3).operator(mu, mu)
     return MatrixProblem(L, points.interior)
 
 
@@ -311,7 +295,7 @@ def at_degree(degree: int, lam: float, points: Points, u: np.ndarray, b: np.ndar
     return error_of(law.on(points, quadrature_degree=degree), points, u, b)
 
 
-def fixed_horizon(numbers: tuple[int, ...] = PARTS) -> dict[str, list[float]]:
+def fixed_horizon() -> dict[str, list[float]]:
     """u_h^δ → u^δ: the load is that of the integral, δ = 12.5 stays, nodes come closer.
 
     The field is two waves across their own direction, so that the integral only scales it, and by
@@ -323,7 +307,7 @@ def fixed_horizon(numbers: tuple[int, ...] = PARTS) -> dict[str, list[float]]:
     factor = across @ continuum_symbol(wave, KNOWN_MU, KNOWN_MU, HORIZON) @ across
     found: dict[str, list[float]] = {"bond": [], "state": [], "quintic": [], "cells": []}
     found["degree"] = []
-    for number in numbers:
+    for number in PARTS:
         points = lattice(number, HORIZON, PERIOD)
         u = no_dilatation(q * points.x)
         b = factor * u
@@ -414,24 +398,6 @@ def forms(model: wp.LPSMaterial, points: Points) -> dict[str, Callable[[], Matri
         "moving least squares, θ at all nodes": lambda: solid(everywhere),
         "the same, θ at half the nodes": lambda: staggered(model, points),
     }
-
-
-def incompressible(
-    numbers: Sequence[int] = SIDES, seeds: Iterable[int] = SEEDS
-) -> dict[tuple[str, float], list[list[float]]]:
-    """Least and largest relative ℓ2 error over the draws by number of nodes, by form and λ/μ."""
-    found: dict[tuple[str, float], list[list[float]]] = {}
-    for ratio, number in product(STIFFER, numbers):
-        errors: dict[str, list[float]] = {}
-        for seed in seeds:
-            points, horizon = scattered(number, seed)
-            model = wp.LPSMaterial(ratio * MU, MU, 1.0, np.ones(1), horizon)
-            u, b = curl_and_pressure(points.x, ratio)
-            for name, problem in forms(model, points).items():
-                errors.setdefault(name, []).append(off(problem(), points, u, b))
-        for name, several in errors.items():
-            found.setdefault((name, ratio), []).append(ends(several))
-    return found
 
 
 def bending(points: Points, ratio: float) -> np.ndarray:
@@ -527,20 +493,16 @@ def in_series(
 # Tables
 
 
-def order(numbers: Sequence[int], errors: Sequence[float]) -> str:
-    """Fitted order of convergence."""
-    return f"{-np.polyfit(np.log(numbers), np.log(errors), 1)[0]:.2f}"
-
-
 def row(name: str, errors: Sequence[float], numbers: Sequence[int] = ()) -> list[str]:
     """Errors of one case, with their order where numbers of nodes are given."""
-    return [name, *(f"{e:.1e}" for e in errors), *([order(numbers, errors)] if numbers else [])]
+    end = [f"{fitted_order(numbers, errors):.2f}"] if numbers else []
+    return [name, *(f"{e:.1e}" for e in errors), *end]
 
 
 def ranges(name: list[str], errors: list[list[float]], numbers: Sequence[int]) -> list[str]:
     """Least and largest errors of several draws, and the order of the largest."""
     cells = (f"{least:.1e} to {worst:.1e}" for least, worst in errors)
-    return [*name, *cells, f"{float(order(numbers, [worst for _, worst in errors])):.1f}"]
+    return [*name, *cells, f"{fitted_order(numbers, [worst for _, worst in errors]):.1f}"]
 
 
 def functionals() -> Table:
@@ -597,8 +559,18 @@ def edges() -> Table:
 
 def near_incompressible() -> Table:
     """Smooth fields on scattered points, by form and λ/μ."""
-    found = incompressible().items()
-    rows = [ranges([form, f"{ratio:g}"], errors, SIDES) for (form, ratio), errors in found]
+    found: dict[tuple[str, float], list[list[float]]] = {}
+    for ratio, number in product(STIFFER, SIDES):
+        errors: dict[str, list[float]] = {}
+        for seed in SEEDS:
+            points, horizon = scattered(number, seed)
+            model = wp.LPSMaterial(ratio * MU, MU, 1.0, np.ones(1), horizon)
+            u, b = curl_and_pressure(points.x, ratio)
+            for name, problem in forms(model, points).items():
+                errors.setdefault(name, []).append(off(problem(), points, u, b))
+        for name, several in errors.items():
+            found.setdefault((name, ratio), []).append(ends(several))
+    rows = [ranges([form, f"{ratio:g}"], each, SIDES) for (form, ratio), each in found.items()]
     return ["dilatational part", "λ/μ", *map(str, SIDES), "order"], rows
 
 

@@ -32,7 +32,7 @@ from tools.lammps_session import LammpsSession
 from tools.loads import TEST, TRAINING, VALIDATION
 from tools.make_graphene import graphene_bodies, on_nodes, solve_all
 from tools.make_thermal import data_set, make_thermal, run_all
-from tools.statics import ColouredHessian, find_bonds
+from tools.statics import ColouredHessian, find_bonds, settled
 from tools.thermal import Bath, Plan, Task, ThermalRun
 from warp_peri import Bernstein, Dataset, Points, Samples
 from warp_peri.errors import exit_status
@@ -43,6 +43,7 @@ from warp_peri.materials.lps_law import Products
 from warp_peri.materials.lps_stages import class_weights
 from warp_peri.methods import GaussNewton, SweepResult, TwoStage
 from warp_peri.points.families import BondClasses
+from warp_peri.points.points import grid_points, nearest
 
 PRINTED_TABLE_3 = {
     0: (12.5, 13.91, 17.54, 16.31, 14.49, 1.0),
@@ -131,8 +132,7 @@ def manufactured(spacing: float) -> Samples:
     used.
     """
     collar = int(np.ceil(2 * HORIZON / spacing))
-    line = spacing * np.arange(-collar, int(LENGTH / 2 / spacing) + collar + 1)
-    x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    x = grid_points(spacing * np.arange(-collar, int(LENGTH / 2 / spacing) + collar + 1), 2)
     inside = ((x >= 0) & (x <= LENGTH / 2)).all(axis=1)
     every = max(1, round(2.5 / spacing))
     steps = np.rint(x / spacing).astype(int)
@@ -304,10 +304,8 @@ def forces_between_nodes(folder: Path) -> dict[str, Any]:
     blocks = sp.bsr_array(sp.csr_array(hessian), blocksize=(2, 2))
     first = np.repeat(np.arange(atoms), np.diff(blocks.indptr))
     pull = -np.einsum("nij,nj->ni", blocks.data, U[blocks.indices] - U[first])
-    apart = X[blocks.indices] - X[first]
-    apart -= np.array(body.box) * np.rint(apart / body.box)
-    line = SPACING * np.arange(-9, 10)
-    nodes = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    apart = nearest(X[blocks.indices] - X[first], body.box)
+    nodes = grid_points(SPACING * np.arange(-9, 10), 2)
     inner = np.abs(nodes).max(axis=1) <= 20.0  # whose partners, to 25 Å, are all among the nodes
     omega = wp.atoms.smoothing_matrix(X, nodes, radius=RADIUS, box=body.box, spacing=SPACING)
     places = first, blocks.indices
@@ -348,14 +346,14 @@ def coarse_graining() -> Table:
 
 
 @cache
-def one_run(seed: int, moved: float = 0.0, rounds: int = 100) -> list[dict[str, Any]]:
+def one_run(seed: int, moved: float = 0.0) -> list[dict[str, Any]]:
     """Constants, epochs and errors after prediction and correction of one run of Algorithm 1.
 
     `moved` multiplies each displacement that is learned from by a random 1 ± moved.
     """
     samples = data()["train"]
     factors = 1 + moved * np.random.default_rng(0).uniform(-1, 1, samples.u.shape)
-    method = TwoStage(seed, outer_iterations=rounds)
+    method = TwoStage(seed, outer_iterations=100)
     found = fitted(replace(samples, u=samples.u * factors), 20.0, 10, method)
     rows = []
     for stage in found.history:
@@ -652,7 +650,7 @@ def long_averages() -> Table:
                 if read_record(file, ThermalRun) is None:
                     thermal.run(task, sample, bath, CACHE)
                 average = read_arrays(file)["average"]
-                fields.append(thermal.settled(body, sample.reference, average))
+                fields.append(settled(average, sample.reference, body.box))
             samples = on_nodes(body, rested[0].reference, np.stack(fields), force, spacing=5.0)
             found = errors_of(model, {"": samples})
             residual, displacement = percent([found["E_res "], found["E_u "]])

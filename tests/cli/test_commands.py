@@ -82,14 +82,13 @@ def test_a_fit_leaves_a_model_and_its_settings(fitted, data, tmp_path, capsys):
     assert again["mu"] == approx(metrics["mu"], rel=1e-12)
     assert main([*map(str, words)]) == 0  # the same once more, in words
     printed = capsys.readouterr()
-    what, sheet, good, proof, further, line, *details = printed.out.splitlines()
+    what, sheet, good, proof, further, _, *details = printed.out.splitlines()
     assert "\r" not in printed.out + printed.err  # no bars where nobody sees them move
     assert what.startswith(f"{tmp_path}/model.json: linear peridynamic solid (LPS), horizon 2.5 Å")
     assert sheet == "moduli: of a sheet 3.35 Å thick, of 2200 kg/m³, as the data file says"
     error = 100 * again["E_u"]["test"]
     assert good.startswith(f"error of displacement: {error:.2g} % on set 'test'")
     assert proof == "proven: exactly one equilibrium for every load"
-    assert set(line) == {"-"}
     assert any(line.startswith("  λ, μ") for line in details)
     typed = further.removeprefix("next: warp-peri ")
     assert typed.startswith(f"solve {tmp_path}/model.json {data} --set test --out ")
@@ -127,8 +126,6 @@ def test_certify_evaluate_solve_and_info(fitted, data, tmp_path, capsys):
     assert "not by these settings and inputs, or changed since" in refused(capsys, *words)
     assert answer(capsys, "info", model)["certified_on"] == [1.0]
     assert answer(capsys, "info", data)["sets"]["noise"]["samples"] == 8
-    assert main(["info", str(model)]) == 0
-    assert "certified on" in capsys.readouterr().out
 
 
 def test_help_is_a_sentence_an_example_and_phrases_in_groups():
@@ -145,13 +142,10 @@ def test_help_is_a_sentence_an_example_and_phrases_in_groups():
                 assert "default" in action.help or action.default == [], action.dest
 
 
-def test_the_command_has_a_version_and_knows_its_names(capsys):
-    with pytest.raises(SystemExit) as left:
+def test_the_command_has_a_version(capsys):
+    with pytest.raises(SystemExit, match="^0$"):
         main(["--version"])
-    assert left.value.code == 0
     assert capsys.readouterr().out == f"warp_peri {wp.__version__}\n"
-    assert "invalid choice: 'train' (choose from" in refused(capsys, "train")
-    assert "required: DATA.h5, --out; warp-peri fit --help" in refused(capsys, "fit")
 
 
 def test_where_output_goes_is_minded(fitted, data, capsys, monkeypatch):
@@ -173,9 +167,6 @@ def test_where_output_goes_is_minded(fitted, data, capsys, monkeypatch):
 def test_sweep_chooses_and_keeps_its_settings(data, tmp_path, capsys):
     words = ["sweep", data, "--out", tmp_path, "--val", "test", "--noise", "noise", "--jobs", "1"]
     words += ["--horizons", "2.5", "--degrees", "1"]
-    (mine := tmp_path / "sweep.json").write_text("mine")
-    assert "sweep.json: is there already, not by these settings" in refused(capsys, *words)
-    mine.unlink()
     printed = answer(capsys, *words)
     assert printed["fits"] == 1
     assert of_json(tmp_path / "sweep.json") == printed
@@ -215,7 +206,6 @@ def test_dumps_become_sets_of_one_file(sheet, tmp_path, capsys):
     save_dataset(out, data.of_sheet(density=5060.0))
     assert "set 'b.c': is there already" in refused(capsys, *line)
     save_dataset(out, data)
-    assert first["nodes"] == 441
     assert_allclose(data["train"].u, np.broadcast_to([0.3, -0.1], (1, 441, 2)), atol=1e-9)
     assert_allclose(data["train"].b, data["b.c"].b)
     assert_allclose(data["train"].x.mean(axis=0), [20, 20])
@@ -225,8 +215,6 @@ def test_dumps_become_sets_of_one_file(sheet, tmp_path, capsys):
     answer(capsys, *words, "--density", 5060, "--thickness", 6.15)
     mended = data.of_sheet(thickness=6.15, density=5060.0)
     assert_allclose(mended["train"].b, load_dataset(out)["train"].b, rtol=1e-12)
-    assert main(["info", str(out)]) == 0
-    assert "thickness  6.15 Å" in capsys.readouterr().out
 
 
 def test_a_typed_box_is_rounded_and_a_radius_fits(sheet, tmp_path, capsys):
@@ -276,10 +264,8 @@ def test_settings_files_hold_words_of_a_command(fitted, data, tmp_path, capsys):
         path.write_text(text, errors="surrogateescape")
         assert said in (error := refused(capsys, *words))
         assert error.startswith(f"error: {path}: ")
-        assert not (tmp_path / "out").exists()
     path.write_text(f"\ufeff{fitted}/model.json '{data}'  # both\n--set train\n--no-transfer\n")
     assert set(answer(capsys, "evaluate", f"@{path}", "--set", "test")) == {"test"}
-    assert "no-such: no such file" in refused(capsys, "info", "@no-such")
     typed = "sweep d.h5 --out o --degrees 1 --degrees 2 3"
     assert parse(typed.split()).degrees == [1, 2, 3]  # in place of what is usual
     path.write_text("d.h5 --out o --degrees 1 2 --horizons 9 --jobs 2")
@@ -292,11 +278,14 @@ def test_settings_files_hold_words_of_a_command(fitted, data, tmp_path, capsys):
 
 
 WRONG = """
+train | invalid choice: 'train' (choose from
+fit | required: DATA.h5, --out; warp-peri fit --help
+info @no-such | no-such: no such file
 info nowhere.h5 | no such file
 info nowhere.json | nowhere.json
 fit {data} --out {new} --set none | no set 'none'
-fit {data} --out {new} --noise none | no set 'none'
-fit {data} --out {new} --influence gausian | expected gaussian, exponential
+fit {data} --out {new} --noise '' | no set ''
+fit {data} --out {new} --influence '' | expected gaussian, exponential
 fit {data} --out {new} --influence gaussian --degree 2 | expected one of the two
 fit {data} --out {new} --law tensors --degree 1 | degree: expected with --law lps, not
 fit-crystal . --hold xx --trust --out {new} | trust, hold: expected with --calculator
@@ -329,7 +318,7 @@ def test_what_cannot_be_done_is_one_line_and_writes_nothing(data, tmp_path, caps
     places |= {"folder": tmp_path, "new": tmp_path / "new"}
     for line in WRONG.strip().split("\n"):
         words, message = line.format(**places).split(" | ")
-        assert message in refused(capsys, *words.split()), words
+        assert message in refused(capsys, *shlex.split(words)), words
         assert {path: path.read_bytes() for path in before} == before
         assert not places["new"].exists() or not any(places["new"].glob("*"))
     line = "export {bare} {data} --out {new} --allow-uncertified".format(**places)
@@ -380,8 +369,6 @@ def test_a_shape_is_fitted_by_name(data, tmp_path, capsys, monkeypatch):
     """Once more too, of the same data, where the first job was killed before all was written."""
     mine = shutil.copy(data, tmp_path / "d.h5")
     words = ["fit", mine, "--horizon", "2.5", "--loss", "residual", "--out", tmp_path]
-    assert "expected gaussian" in refused(capsys, *words, "--influence", "")
-    assert "set" in refused(capsys, *words, "--noise", "")
     words += ["--influence", "gaussian"]
     other = load_dataset(data).of_sheet(density=2300.0)
     with monkeypatch.context() as patch, pytest.raises(SystemExit):  # noqa: PT012
@@ -393,7 +380,6 @@ def test_a_shape_is_fitted_by_name(data, tmp_path, capsys, monkeypatch):
     capsys.readouterr()
     assert "not by these settings and inputs" in refused(capsys, *words)
     shutil.copy(data, mine)
-    assert "not by these settings" in refused(capsys, *words, "--set", "test")
     printed = answer(capsys, *words)
     model = LPSMaterial.load(tmp_path / "model.json")
     width = printed["influence"]["parameters"]["width"]

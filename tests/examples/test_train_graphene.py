@@ -4,6 +4,7 @@ import io
 import re
 import shutil
 from contextlib import redirect_stdout
+from dataclasses import replace
 
 import numpy as np
 from numpy.testing import assert_allclose
@@ -11,7 +12,7 @@ from numpy.testing import assert_allclose
 from examples import train_graphene
 from examples.graphene_report import COLUMNS, RECORD
 from tests.support import ROOT, approx, near, of_json, shared
-from warp_peri import load
+from warp_peri import load, save
 
 README = (ROOT / "README.md").read_text("utf-8")
 IN_README = {
@@ -54,6 +55,11 @@ def test_it_leaves_its_results_and_says_how_good_they_are(job, graphene, capsys)
         assert load(out / f"third_order_{form}.json").proven_strain(5.0) >= strain
     assert train_graphene.main(["--data", str(graphene), "--out", str(out), "--linear"]) == 2
     assert "not by these settings" in capsys.readouterr().err
+    data, other = load(graphene), out / "other.h5"
+    for said, words in ("bond_length", "expected graphene"), ("smoothing", "names the radius"):
+        save(other, replace(data, provenance=data.provenance | {said: 0}))
+        assert train_graphene.main(["--data", str(other), "--out", str(out / "new")]) == 2
+        assert words in capsys.readouterr().err
 
 
 def test_models_have_the_errors_of_the_record_and_of_the_readme(job):

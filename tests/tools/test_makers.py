@@ -17,7 +17,7 @@ from tools import samples
 from tools.elastic import elastic_constants
 from tools.elements import errors_of_local, piola
 from tools.graphene import bond_length, disk
-from tools.hyperelastic_elements import Elements, quadrilaterals
+from tools.hyperelastic_elements import Elements, square_mesh
 from tools.hyperelastic_energies import Family, hgo
 from tools.lammps_session import POTENTIAL, LammpsSession
 from tools.loads import TEST, TRAINING, VALIDATION, PatchLoad, RimLoad, WaveLoad
@@ -106,11 +106,11 @@ def test_runs_of_one_seed_share_their_noise_and_have_their_temperature(tmp_path)
 
 
 def test_elements_have_the_slopes_of_their_forces():
-    random, mesh = default_rng(1), Elements(quadrilaterals(3))
+    random, mesh = default_rng(1), Elements(square_mesh("MeshQuad", 3))
     energy = hgo(0.33, 0.15, (Family(0.3, 0.1, 1.5), Family(-1.0, 0.2, 0.0)))
     u, v = 0.02 * random.normal(size=2 * mesh.nodes), random.normal(size=2 * mesh.nodes)
-    expected = slope(lambda t: mesh.internal(energy, u + t * v), 1e-6, order=2)
-    assert mesh.tangent(energy, u) @ v == approx(expected, rel=1e-5, abs=1e-7)
+    expected = slope(lambda t: mesh.forces(mesh.state(energy, u + t * v)[0], u), 1e-6, order=2)
+    assert mesh.stiffness(mesh.state(energy, u)[1]) @ v == approx(expected, rel=1e-5, abs=1e-7)
 
 
 def test_elements_of_local_elasticity_are_of_fourth_order_in_the_wave_length():
