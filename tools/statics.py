@@ -32,7 +32,7 @@ class ColouredHessian:
         reach.sort_indices()
         self._colour = _greedy_colours(sp.csr_array(reach @ reach))
         self._row = np.repeat(np.arange(atoms), np.diff(reach.indptr))
-        self._column = reach.indices.astype(int)
+        self._column, self._starts = reach.indices.astype(int), reach.indptr
         self.colours = int(self._colour.max()) + 1
         self.atoms = atoms
 
@@ -52,11 +52,8 @@ class ColouredHessian:
                 shift[moved, axis] = STEP
                 change = forces(positions - shift) - forces(positions + shift)
                 blocks[entries, :, axis] = change[self._row[entries]] / (2 * STEP)
-        a, b = np.meshgrid([0, 1], [0, 1], indexing="ij")
-        rows = 2 * self._row[:, None, None] + a
-        columns = 2 * self._column[:, None, None] + b
         size = 2 * self.atoms
-        hessian = sp.csc_array((blocks.ravel(), (rows.ravel(), columns.ravel())), (size, size))
+        hessian = sp.bsr_array((blocks, self._column, self._starts), shape=(size, size))
         return sp.csc_array((hessian + hessian.T) / 2)
 
 
