@@ -262,6 +262,7 @@ def test_what_would_lose_a_gradient_says_so():
     cut, solid = wp.Cracked(points, u=leaf, cracks=CRACK), kernel("1/r", 3.0)
     waves, steps = {"density": 2000.0, "step": 1e-6, "steps": 2}, {"step": 1.0, "steps": 2}
     hidden = masked(u.numpy())
+    forces, many = module(leaf), module(torch.stack([u, u]))
     rest = lambda u, **how: wp.solve(op, on(u), **how).u
     of_mu = lambda mu: rest(u, parameters={"mu": mu})
     moved = lambda u, **how: wp.simulate(op, on(u), **waves, **how).u
@@ -270,12 +271,12 @@ def test_what_would_lose_a_gradient_says_so():
         plain: (
             lambda: slope(module, u), lambda: slope(network, tensor(network)),
             lambda: slope(moved, u), lambda: slope(of_mu, number),
-            lambda: slope(lambda mu: moved(u, parameters={"mu": mu}), number),
             lambda: slope(
                 lambda phi: wp.simulate(heat, wp.Dirichlet(heat.points, None, phi), **steps).u,
                 phi,
             ),
-            lambda: torch.func.vmap(network)(tensor(network, 3)),
+            lambda: grad(forces, leaf, many, is_grads_batched=True),
+            lambda: torch.func.vmap(lambda v: grad(forces, leaf, v))(many),
         ),
         "tangents of forward mode": (
             lambda: along(op, u), lambda: along(rest, u), lambda: along(moved, u),

@@ -218,10 +218,8 @@ def certify(
     model = getattr(law, "linear", law)
     offered(model, "stencil", "certify", LINEAR)
     if spacing is None:
-        given = getattr(model.stencil, "spacing", None)
-        spacing = (
-            given or offered(material, "points", "certify", "a spacing, or an operator").spacing
-        )
+        what = "points", "certify", "a spacing, or an operator"
+        spacing = getattr(model.stencil, "spacing", None) or offered(material, *what).spacing
     if points is not None and not np.isclose(points.spacing, spacing, rtol=1e-6, atol=0):
         raise InputError(
             f"spacing: expected that of the points, {points.spacing:g} "
@@ -387,8 +385,7 @@ def _positive(
 def _first_cells(edge: float, dimension: int) -> tuple[np.ndarray, float]:
     """Middles of the FIRST cells per axis of [−edge, edge]^d, and half a side."""
     half = edge / FIRST
-    line = -edge + half * (2 * np.arange(FIRST) + 1)
-    return grid_points(line, dimension), half
+    return grid_points(-edge + half * (2 * np.arange(FIRST) + 1), dimension), half
 
 
 def _symbol_slopes(stencil: Stencil, phase: np.ndarray) -> Pair:

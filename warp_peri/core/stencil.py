@@ -89,8 +89,7 @@ class Stencil:
             images = [number.get(tuple(s), -1) for s in (self.steps @ g.T).tolist()]
             if -1 in images:
                 return np.inf
-            turned = g @ self.tensors @ g.T
-            worst = max(worst, float(np.abs(self.tensors[images] - turned).max()))
+            worst = max(worst, float(np.abs(self.tensors[images] - g @ self.tensors @ g.T).max()))
         return worst / max(float(np.abs(self.tensors).max()), 1e-300)
 
     def minus(self, other: Stencil, factor: float = 1.0) -> Stencil:
@@ -427,8 +426,7 @@ class ByRows:
         mask = np.zeros(nodes.wide, bool)
         mask[nodes.core] = nodes.unknown
         places = np.flatnonzero(mask)
-        pieces = row_pieces(places, self.kernels.lanes, places)[:, ::2]
-        self.asked: Any = ints(pieces, wp.vec2i)
+        self.asked: Any = ints(row_pieces(places, self.kernels.lanes, places)[:, ::2], wp.vec2i)
 
     def __call__(self, planes: np.ndarray) -> np.ndarray:
         """L u at the unknown nodes of planes [S, d, *wide]; planes [S, d, *shape], else zero."""

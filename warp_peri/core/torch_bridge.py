@@ -68,6 +68,7 @@ class _Made(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        upstream = tuple(real("gradient", one) for one in upstream)
         return None, None, *ctx.back(ctx.needs_input_grad[2:], *ctx.saved_tensors, *upstream)
 
 
@@ -152,11 +153,12 @@ def as_tensor(name: str, value: Any) -> torch.Tensor:
 
 def real(name: str, value: Any) -> torch.Tensor:
     """A float64 tensor on the processor; InputError for complex numbers, booleans, lazy views, and
-    tensors of torch.func."""
-    if torch._C._functorch.is_functorch_wrapped_tensor(tensor := as_tensor(name, value)):
+    tensors of torch.func and its kin."""
+    kinds, tensor = torch._C._functorch, as_tensor(name, value)
+    if kinds.is_functorch_wrapped_tensor(tensor) or kinds.is_legacy_batchedtensor(tensor):
         raise InputError(
-            "torch.func: expected plain tensors; torch.autograd.grad and backward() have the "
-            "gradient, operator.jvp(u, v) the derivative of a force along v"
+            "torch.func: expected plain tensors, none of vmap or is_grads_batched; torch.autograd."
+            "grad and backward() have the gradient, operator.jvp(u, v) the derivative along v"
         )
     if tensor.is_meta or tensor.layout is not torch.strided:
         raise InputError(

@@ -152,7 +152,7 @@ def proven_kappa(stencil: Stencil, group: np.ndarray, classes: BondClasses, p: n
     gradient = stencil.dimension * p[classes.bond_class, None] * classes.xi
     weight = squared(stencil.spacing, classes.steps, gradient)
     proven = prove(stencil, group, weight, tuple(1 / slack for slack in SLACKS)).proven
-    return float(1 / np.sqrt(proven)) if proven > 0 else float(np.inf)
+    return float(1 / np.sqrt(proven)) if proven > 0 else np.inf
 
 
 def squared(spacing: float, steps: np.ndarray, field: np.ndarray) -> Stencil:

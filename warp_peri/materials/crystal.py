@@ -284,8 +284,7 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
         if (whole != steps).any() or len(both) != 2 * len(whole) or not whole.any(axis=1).all():
             raise InputError("steps: expected whole numbers, one of ξ and −ξ, each once and not 0")
         turn = checked_orientation(self.orientation, d)
-        both_ways = checked_symmetric("tensors", tensors)
-        hold(self, steps=whole, tensors=both_ways, orientation=turn)
+        hold(self, steps=whole, tensors=checked_symmetric("tensors", tensors), orientation=turn)
         if stress is not None:
             hold(self, stress=checked_symmetric("stress", stress, (d, d)))
         if isinstance(self.symmetry, str) and not self.symmetry:

@@ -380,7 +380,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
         return None
 
     def elsewhere(self, length: float, stress: float) -> Values:
-        """Certificate figures in other units; provenance names those of its records."""
+        """Certificate figures in other units."""
         times = {"spacing": length, "symbol_min": stress, "symbol_bound": stress}
         times |= dict.fromkeys(GAMMAS, length**-2)
         figures = {
@@ -390,8 +390,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
             }
             for h, each in self.figures.items()
         }
-        provenance = self.provenance | {"units_before": list(self.units)} | self.provenance
-        return {"certificate": figures, "provenance": provenance}
+        return {"certificate": figures}
 
     def derived(self) -> Values:
         """Degree and quadrature, which the material's file states."""

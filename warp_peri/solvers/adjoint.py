@@ -88,8 +88,7 @@ def moved(
     asked = given[4:] if getattr(operator, "is_linear", False) else given
     waves.keeps = torch.is_grad_enabled() and any(one.requires_grad for one in asked)
     end, v, *records = once(waves.there, waves.back, *given)
-    history = waves.motion.history | dict(zip("u", records))
-    return replace(waves.motion, u=end, v=v, history=history)
+    return replace(waves.motion, u=end, v=v, history=waves.motion.history | dict(zip("u", records)))
 
 
 def in_motion(operator: Any, b: Any, u: Any, options: Options) -> Motion:

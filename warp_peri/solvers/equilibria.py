@@ -11,6 +11,7 @@ the load in parts; then past negative curvature, to another minimum.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -22,11 +23,11 @@ from scipy.sparse.linalg import LinearOperator
 
 from warp_peri.core.elastic import symmetric_part
 from warp_peri.core.stencil import Stencil
-from warp_peri.errors import InputError, warn
+from warp_peri.errors import InputError, quietly, warn
 from warp_peri.points.arguments import ArrayMap, checked_fields
 from warp_peri.points.points import Points, grid_places
 from warp_peri.solvers.linear import DIRECT, Inverse
-from warp_peri.solvers.solution import Newton, Solution, Solver, by_sample, refuse_solver
+from warp_peri.solvers.solution import TOLERANCE, Newton, Solution, Solver, by_sample, refuse_solver
 from warp_peri.solvers.systems import HERE, definite, newton, norm, smallest_eigenvalue
 
 NOTHING = 1e-12
@@ -474,7 +475,11 @@ def equilibria_of(
         try:
             each[:], record = way.solve(right, each, asked.tolerance)
         except InputError as error:
-            raise type(error)(f"sample {n}: {error}") from None
+            more = ""
+            with quietly(), suppress(InputError):
+                if asked.tolerance < TOLERANCE and way.solve(right, each, TOLERANCE):
+                    more = f"; to {TOLERANCE:g} there is one: rounding may be above the tolerance"
+            raise type(error)(f"sample {n}: {error}{more}") from None
         record.largest_gradient = float(gradient(each))
         record.unique = proven is not None and record.largest_gradient <= proven
         if few and record.eigenvalue is None:

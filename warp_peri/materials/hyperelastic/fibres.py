@@ -150,8 +150,7 @@ def grouped(energy: dict[float, float], within: float) -> list[tuple[float, floa
 
 def fibres_of(dictionary: Hyperelastic) -> list[int]:
     """Indices of the fibre families among the coefficients."""
-    first = dictionary.first_term
-    return [first + n for n, term in enumerate(dictionary.terms) if term.is_fibre]
+    return [dictionary.first_term + n for n, term in enumerate(dictionary.terms) if term.is_fibre]
 
 
 def fibre_numbers(dictionary: Hyperelastic, moving: Sequence[int]) -> tuple[np.ndarray, Pair]:

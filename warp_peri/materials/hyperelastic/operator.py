@@ -83,11 +83,6 @@ class HyperelasticMaterial(Record, format="warp_peri.hyperelastic", version=2):
         """Build the operator on a lattice; thickness of each node [N] or an even sheet (H18)."""
         return HyperelasticSheetOperator(self, points, thickness=thickness)
 
-    def elsewhere(self, length: float, stress: float) -> Values:
-        """Provenance naming the units that its records stay in."""
-        own = self.provenance
-        return {"provenance": own | {"units_before": list(self.units)} | own}
-
     def rows(self) -> Rows:
         """Name and value of each line of the material's table, the largest energies first."""
         stretch = "not known" if self.stretch is None else f"up to {self.stretch:.3g}"
@@ -423,8 +418,7 @@ class HyperelasticSheetOperator(Swept):
             if near is not None:
                 # the fields that fit u on the collar best, and the lift of what they miss
                 given, collar = near[:, ~self.points.interior], u[~self.points.interior].ravel()
-                share = lstsq(given.reshape(len(near), -1).T, collar)[0]
-                start = np.tensordot(share, near, 1)
+                start = np.tensordot(lstsq(given.reshape(len(near), -1).T, collar)[0], near, 1)
                 start = start + self.lift(u - start)
                 inverse = None if self.rough else self.factors(start)[0]
             found.append(Descent(self).find(b, u, TOLERANCE, start, inverse))
