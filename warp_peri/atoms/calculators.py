@@ -228,6 +228,8 @@ class Asked:
         self._asked, self._name = calculator, f"calculator: {type(calculator).__name__}"
 
     def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):  # of a copy, which has none yet, and is of this class
+            raise AttributeError(name)
         return getattr(self._asked, name)
 
     def get_forces(self, atoms: Any) -> Any:

@@ -208,6 +208,8 @@ def from_calculator(
     repeat = offered(structure, "repeat", "from_calculator", "an ase.Atoms")
     if oriented(structure, False, thickness)[1] and thickness is None:
         raise InputError("thickness: the structure is a sheet, whose thickness [Å] is missing")
+    if structure.cell.rank < 3:
+        raise InputError("structure: expected three edges; atoms.center(10, 2) makes a sheet's")
     many = repeat(_counted("repeats", repeats, len(structure)))
     return _by_differences(structure, many, Asked(calculator), thickness=thickness)
 

@@ -90,7 +90,7 @@ def check_sites(atoms: ase.Atoms) -> None:
     edges, x = np.array(atoms.cell), np.array(atoms.positions)
     if not len(atoms) or not (np.isfinite(edges).all() and np.isfinite(x).all()):
         raise InputError("structure: expected one atom or more, at finite places in a finite cell")
-    edges = edges[np.array(atoms.pbc)]
+    edges = edges[np.array(atoms.pbc) | edges.any(axis=1)]
     lengths = norm(edges, axis=1)
     if not lengths.all() or svd(edges / lengths[:, None])[1].min(initial=1.0) < FLAT:
         raise InputError("structure: expected edges of the cell that span one, got some in a plane")
