@@ -213,6 +213,9 @@ def test_wrong_input_is_refused(family):
         ).moduli_error,
         "at least four samples": lambda: wp.fit(one, Ensemble(wp.LPS(3.0))),
         "temperature: expected float": lambda: wp.fit(warm, Ensemble(wp.LPS(3.0))),
+        "temperature: expected values ≥ 0 K, got -5": lambda: wp.fit(
+            replace(warm, arrays={"temperature": 4 * [-5.0]}), Ensemble(wp.LPS(3.0))
+        ),
         r"at: expected shape \[m, 2\]": lambda: wp.prediction.strain(points, [1.0, 2.0]),
         "stress: expected positions whose": lambda: wp.prediction.stress(
             family.ensemble_on(points), [(500, 500)]

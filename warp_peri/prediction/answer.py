@@ -26,6 +26,7 @@ from warp_peri.prediction.ensemble import (
     EnsembleMaterial,
     EnsembleOperator,
     Measure,
+    kelvin,
 )
 from warp_peri.problems import Dirichlet
 from warp_peri.protocols import check_collar, placed
@@ -405,8 +406,8 @@ def _uncovered(placed: EnsembleOperator, points: Any) -> tuple[str, ...]:
         found.append("broken bonds: the ensemble knows none")
     if placed.turned is not None and placed.points.axis is None:
         found.append(AXIS)
-    there, mine = getattr(points, "arrays", {}).get("temperature"), placed.family.temperature
-    if not (there is None or mine is None or np.allclose(checked("temperature", there), mine)):
+    there, mine = kelvin(points), placed.family.temperature
+    if not (there is None or mine is None or np.allclose(there, mine)):
         found.append(f"temperature: learned at {mine:g} K, asked at {np.max(there):g} K")
     return tuple(found)
 

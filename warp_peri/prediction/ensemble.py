@@ -291,6 +291,14 @@ class CalibrationFactors:
     screen: NotNegative = 1.42
 
 
+def kelvin(samples: Any) -> Any:
+    """Temperatures [K] that samples state, [S], or None; InputError for what is none."""
+    given = getattr(samples, "arrays", {}).get("temperature")
+    if given is not None and (given := checked("temperature", given)).min(initial=0) < 0:
+        raise InputError(f"temperature: expected values ≥ 0 K, got {given.min():g}")
+    return given
+
+
 @dataclass(frozen=True, eq=False)
 class EnsembleMaterial(OnLinear, format="warp_peri.family", version=2):
     """Material with alternatives that show its errors, learned by `fit(samples, Ensemble(…))`.
@@ -378,8 +386,7 @@ class Ensemble:
         if len(sets) != 1 or len(sets[0]) < 4:
             raise InputError("samples: expected one set of at least four samples for an ensemble")
         samples = sets[0]
-        kelvin = samples.arrays.get("temperature")
-        mean = None if kelvin is None else float(checked("temperature", kelvin).mean())
+        mean = None if (stated := kelvin(samples)) is None else float(stated.mean())
         learn = offered(self.rich, "learn", "fit", "a model as the rich member")
         second = poorer(self.rich) if self.second is None else self.second
         fit = learn(samples, progress=progress)
