@@ -6,13 +6,13 @@ import itertools
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import torch
-from numpy.linalg import inv
+from numpy.linalg import inv, norm, qr, svd
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
@@ -23,7 +23,7 @@ from warp_peri.core.record import FieldUnits, Length, Record, read_json
 from warp_peri.core.stencil import half_ball
 from warp_peri.core.torch_bridge import own_torch
 from warp_peri.errors import InputError, Rows, Values, called, hold
-from warp_peri.fitting.long_waves import told_apart
+from warp_peri.fitting.long_waves import TOLD
 from warp_peri.fitting.regression import norms
 from warp_peri.fitting.result import Fit
 from warp_peri.materials.crystal_fit import one_set
@@ -38,8 +38,10 @@ Energy = Callable[..., torch.Tensor]
 """Energy per volume [stress] of Green strains E [..., d, d] and of parameters by name, [...]."""
 REST = 1e-9
 """Stress at rest, over the stiffness there, that counts as rounding."""
-DIFFERENCE = 1e-4
-"""Relative step of differences of solved displacements."""
+DIFFERENCE, BESIDE = 1e-4, 1e-2
+"""Relative step of differences; least size that a number is taken for, over that of its start."""
+SHARED = 1e-3
+"""Part of a number in a change that data do not tell, from which it is named."""
 
 
 def sided_gradients(points: Any, horizon: float) -> Pair:
@@ -207,6 +209,29 @@ class DensityOperator(Pointwise):
         return equilibria_of(self, b, u, solver)
 
 
+def slopes(left: arguments.ArrayMap, x: np.ndarray) -> np.ndarray:
+    """Derivatives of a function by numbers x [T], [n, T], from both sides, or from one where the
+    other has no answer; 0 where neither has."""
+    columns = []
+    for step in np.diag(DIFFERENCE * np.maximum(np.abs(x), BESIDE)):
+        near = ((sign, left(x + sign * step)) for sign in (1, -1, 0))
+        ends = [*itertools.islice((end for end in near if np.isfinite(end[1]).all()), 2)]
+        (ahead, up), (behind, down) = ends[0], ends[-1]
+        columns.append((up - down) / ((ahead - behind or 1) * step.sum()))
+    return np.array(columns).T if columns else np.zeros((len(left(x)), 0))
+
+
+def untold(R: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Which numbers [T] rows R [n, T] do not tell, alone or apart from others. Columns count as
+    large as at the `first` numbers, at least: what has become zero by the data is told by them."""
+    now = norm(R, axis=0)
+    most, before = (size.max(initial=0.0) or 1.0 for size in (now, first))
+    R = R / np.where(now > 0, now, 1) * np.maximum(now / most, first / before)
+    size, V = svd(qr(R, mode="r"))[1:]
+    lost = np.pad(size, (0, len(V) - len(size))) <= TOLD * size.max(initial=0.0)
+    return np.asarray((np.abs(V[lost]) > SHARED).any(axis=0))
+
+
 @typed
 @dataclass(frozen=True)
 class Density:
@@ -218,8 +243,9 @@ class Density:
         parameters: where the fit starts, by name.
         loss: "forces" fits L u = b; "displacement" solves for u, for noise or few loads.
 
-    `fit` raises InputError for samples without loads or displacement, and parameters that they do
-    not tell apart, or not from where the search ends.
+    A trial of the search without an equilibrium is a step too long; a number without a slope where
+    it starts begins beside it. `fit` raises InputError for samples without loads or displacement,
+    for a start without an answer, and for parameters that they do not tell, by name.
 
     >>> def svk(E, lam, mu):
     ...     return lam / 2 * E.diagonal(dim1=-2, dim2=-1).sum(-1) ** 2 + mu * (E * E).sum((-1, -2))
@@ -261,14 +287,24 @@ class Density:
         def left(x: np.ndarray) -> np.ndarray:
             op = operator.at(dict(zip(names, scale * x)))
             found = op(given.u) if by_force else op.solve(given.loads, given.u).u[:, inside]
-            return np.asarray(((found - right) / size).ravel())
+            return np.pad(((found - right) / size).ravel(), (0, max(0, len(x) - right.size)))
 
-        start = list(material.parameters.values()) / scale
-        found = least_squares(left, start, x_scale="jac", diff_step=DIFFERENCE, method="lm")
-        if not told_apart(found.jac):
-            at = ", ".join(f"{name} {value:.4g}" for name, value in zip(names, scale * found.x))
-            raise InputError(f"parameters: these samples do not tell all apart, or not from {at}")
+        def tried(x: np.ndarray) -> np.ndarray:
+            with suppress(InputError):  # a step without an answer is too long
+                return left(x)
+            return nowhere
+
+        x = np.array([*material.parameters.values()]) / scale
+        nowhere = np.nan * left(x)
+        first = norm(slopes(tried, x), axis=0)
+        x += BESIDE * (first <= TOLD * first.max(initial=0.0))
+        how: Any = {"jac": partial(slopes, tried), "x_scale": "jac", "method": "lm"}
+        found = least_squares(tried, x, **how)
+        ended = dict(zip(names, (scale * found.x).tolist()))
+        if (lost := untold(found.jac * found.x, first)).any():
+            those = ", ".join(f"{name} {ended[name]:.4g}" for name in np.array(names)[lost])
+            raise InputError(f"parameters: these samples do not tell {those}, or not from there")
         loss = float(np.sqrt(2 * found.cost / len(right)))
         record = {"loss": loss, "by": self.loss, "evaluations": int(found.nfev)}
-        law = replace(material.at(dict(zip(names, scale * found.x))), provenance={"fit": record})
+        law = replace(material.at(ended), provenance={"fit": record})
         return Fit(law, None, {}, record)
