@@ -30,7 +30,6 @@ def test_the_ledger_closes_and_better_with_shorter_steps(kind):
     body, run, state = marched(kind, 0.4)
     assert 0.05 < body.damage(state).max()
     found = run.motion(state)
-    assert found["dissipated"][-1] > 0
     assert found.missing < 3e-3
     _, finer, end = marched(kind, 0.1)
     assert finer.motion(end).missing < found.missing / 4
@@ -42,11 +41,8 @@ def test_breaking_follows_the_stretch():
     with refused("in the displacement at rest"):
         body.start(u=u)
 
-    def moved(size):
-        state = body.start(v=size * u / body.longest_step)
-        step(body, state, body.longest_step)
-        return state
-
+    dt = body.longest_step
+    moved = lambda size: step(body, body.start(v=size * u / dt), dt)
     state = moved(1)
     beyond = (body.body.xi * (0.0, 0.02) * body.body.xi).sum(1) / body.body.r**2 > 0.01
     assert np.array_equal(body.operator.kept(state.links), (body.body.neighbour >= 0) & ~beyond)

@@ -214,8 +214,8 @@ class SoftBody:
         load, broken = np.array(rows).T
         nothing = sum(one.flatten()[:0].sum() for one in law)  # the graph of what was not felt yet
         force, end = torch.stack(forces) + nothing, (field + nothing).reshape(self.held.shape)
-        ends = (force, end) if asked else (force.numpy(), end.numpy())
-        return Motion(load, ends[1], None, {"load": load, "force": ends[0], "broken": broken})
+        force, end = (force, end) if asked else (force.numpy(), end.numpy())
+        return Motion(load, end, None, {"load": load, "force": force, "broken": broken})
 
     def _settled(
         self, at: np.ndarray, given: torch.Tensor, damage: list[torch.Tensor], law: Sequence[Any]

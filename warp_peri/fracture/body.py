@@ -94,10 +94,8 @@ def box_nodes(sides: Sequence[float], spacing: Positive) -> np.ndarray:
     check_dimensions("sides", len(sides))
     count = np.rint(checked("sides", sides, float, ("d",)) / spacing)
     if (count < 1).any() or np.abs(count * spacing - sides).max() > 1e-6 * spacing:
-        raise InputError(
-            f"sides: expected multiples of {spacing:g}, got "
-            f"{', '.join(f'{side:g}' for side in sides)}"
-        )
+        got = ", ".join(f"{side:g}" for side in sides)
+        raise InputError(f"sides: expected multiples of {spacing:g}, got {got}")
     check_nodes("sides", count)
     return (grid_places(count.astype(int)) - (count - 1) / 2) * spacing
 
@@ -177,7 +175,7 @@ def _segments(body: LatticeBody, corners: np.ndarray) -> Iterator[Face]:
     """Iterate over the faces of a polyline, corners and mouths included, tips not."""
     open_ended, last = not np.array_equal(corners[0], corners[-1]), len(corners) - 2
     for number, ends in enumerate(pairwise(corners)):
-        along = (ends[1] - ends[0]) / np.hypot(*(ends[1] - ends[0]))
+        along = (step := ends[1] - ends[0]) / np.hypot(*step)
         tips = (
             open_ended and number == 0 and _goes_on(body, ends[0], -along),
             open_ended and number == last and _goes_on(body, ends[1], along),

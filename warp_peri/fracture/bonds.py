@@ -63,16 +63,12 @@ def bond_weights(model: LPSMaterial, classes: BondClasses) -> np.ndarray:
 def unit_toughness(model: LPSMaterial, classes: BondClasses) -> float:
     """Energy per length (in space area) of a straight cut whose bonds have stretch 1 (C6, V5). G_c
     = this × s₀². The dilatation's part is that of nodes whose cut bonds alone are stretched."""
-    w = bond_weights(model, classes)
+    w, rows = bond_weights(model, classes), classes.steps[:, 1]
     r2 = (classes.xi.astype(float) ** 2).sum(axis=1)
-    rows = classes.steps[:, 1]
-    h = classes.spacing
-    up = rows > 0
-    d = model.dimension
-    deviatoric = d * (d + 2) * model.mu * h * np.sum((rows * w * r2)[up])
+    d, h = model.dimension, classes.spacing
+    deviatoric = d * (d + 2) * model.mu * h * np.sum((rows * w * r2)[rows > 0])
     crossing = [d * np.sum((w * r2)[rows > k]) for k in range(int(rows.max()))]
-    dilatational = h * (model.lam - model.mu) * np.sum(np.square(crossing))
-    return float(deviatoric + dilatational)
+    return float(deviatoric + h * (model.lam - model.mu) * np.sum(np.square(crossing)))
 
 
 def check_breakable(model: LPSMaterial, classes: BondClasses | None = None) -> None:
@@ -102,8 +98,7 @@ def largest_stiffness(model: LPSMaterial, classes: BondClasses) -> float:
 def stretch_matrix(body: LatticeBody, neighbour: np.ndarray) -> tuple[sp.csr_array, np.ndarray]:
     """Matrix [length] from u to e = ξ·(u_j − u_i) of unbroken bonds, [E, d N]; places in [N B]."""
     node, bond = np.nonzero(neighbour >= 0)
-    place = node * neighbour.shape[1] + bond
-    return stretch_rows(body, node, bond, neighbour[node, bond]), place
+    return stretch_rows(body, node, bond, neighbour[node, bond]), node * neighbour.shape[1] + bond
 
 
 def stretch_rows(

@@ -285,8 +285,6 @@ class Injected:
 
 RADIUS = 4.0
 """Half side of the smaller square around a tip, in horizons; the larger has twice that."""
-
-
 APART = 0.7
 """Spacings, or their squares in space, from one crack to the next, of an inclined one too."""
 

@@ -99,10 +99,9 @@ class CutSolid(OperatorBase):
         self.held = held = by_component(held, body.x.shape)
         if not moves:
             check_pieces(body, self.neighbour, held)
-        self.one, moduli = not hasattr(material, "moduli"), None
-        if not self.one:
-            moduli = material.moduli(body, bond_weights(self.model, body.classes))
-        self.bonds = bonds_of(self.model, body.classes, moduli)
+        self.one, of = not hasattr(material, "moduli"), (self.model, body.classes)
+        moduli = None if self.one else material.moduli(body, bond_weights(*of))
+        self.bonds = bonds_of(*of, moduli)
         self.inside = np.asarray(~held.all(axis=1))
         squares = self.one and not (self.bonds.stiffness < 0).any()
         self._rows = None
@@ -219,7 +218,7 @@ def by_component(held: ArrayLike, shape: Shape) -> np.ndarray:
     """Mask of given components, shape [N, d], of nodes [N] or components [N, d] bool."""
     mask = checked("held", held, bool)
     if mask.shape == shape[:1]:
-        mask = np.repeat(mask[:, None], shape[1], axis=1)
+        mask = np.broadcast_to(mask[:, None], shape)
     return checked("held", mask, bool, shape).copy()
 
 
