@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from functools import partial
 from math import fsum
 from pathlib import Path
 
@@ -14,7 +15,7 @@ import pytest
 
 import warp_peri as wp
 from tests.mpi.job import SWING, TOLERANCE, corrected, crack, fields, swings, uneven, whole
-from tests.support import ROOT, approx, in_plane_and_space, near, parametrize, shared, slow
+from tests.support import ROOT, approx, in_plane_and_space, near, parametrize, refused, shared, slow
 from warp_peri.mpi import TimeSeriesWriter
 
 pytest.importorskip("mpi4py", reason="mpi4py is not installed: pip install 'warp_peri[mpi]'")
@@ -153,11 +154,17 @@ def test_what_does_not_fit_is_refused_on_all_ranks(jobs):
 
 def test_fields_of_ones_own_go_to_paraview_by_their_names(jobs, folder, tmp_path):
     pytest.importorskip("meshio", reason="meshio writes the files")
-    writer = TimeSeriesWriter(tmp_path, whole(2).points)
-    writer.write(1, 0.5, dict(zip("bu", fields(writer.x))))
+    make = partial(TimeSeriesWriter, tmp_path, whole(2).points, resume=True)
+    writer, again = make(), make()
+    writer.write(1, 0.5, own := dict(zip("bu", fields(writer.x))))
     for file in tmp_path.iterdir():
         assert file.read_bytes() == (folder / "own" / file.name).read_bytes()
-    TimeSeriesWriter(tmp_path, whole(2).points, resume=True).write(2, 1.0, {})
+    for other, found in ((again, {}), (make(2 * writer.x), own)):
+        with refused("nodes or fields"):
+            other.write(2, 1.0, found)
+    again.write(2, 1.0, own)
+    with refused("another writer"):
+        writer.write(3, 1.0, own)
     assert (tmp_path / "motion.pvd").read_text().count("record_") == 2
 
 

@@ -62,8 +62,8 @@ class Motion(Shown):
         """Largest relative departure of the energy from its first value; InputError for a motion
         without, as that of a body that breaks, whose books are `missing`."""
         energy = self._recorded("energy")
-        gone = float(np.abs(energy - energy[0]).max())
-        return gone / float(np.abs(energy[0])) if gone else 0.0
+        gone = np.abs(energy - energy[0]).max()
+        return float(gone / np.abs(energy[0])) if gone else 0.0
 
     @property
     def missing(self) -> float:
@@ -112,7 +112,7 @@ class TimeSeriesWriter:
         folder: for the files; made if it is not there.
         nodes: those of this process, as AllNodes, mpi.Subdomain or Points.
         x: their positions, shape [n, d], where the nodes have none themselves.
-        resume: go on after the records that a writer of one's own has left there.
+        resume: go on after records of one's own writer there, of the same nodes and fields.
     """
 
     def __init__(
@@ -122,24 +122,23 @@ class TimeSeriesWriter:
         arguments.check_flag("resume", resume)
         self.path, self.x = Path(folder, "motion.pvd"), nodes.x if x is None else x
         self.nodes = nodes if hasattr(nodes, "comm") else AllNodes(len(self.x))
-        self.mark: Callable[[int], str] | None = None
-        self.claimed, self.resume, self.dropped = False, resume, -1
+        self.resume, self.dropped = resume, -1
 
-    def claim(self, mark: Callable[[int], str] | None = None) -> None:
+    def claim(self, mark: Callable[[int], str], goes_on: bool = True) -> None:
         """Take the folder for a motion, of which `mark` tells what so many steps depend on;
-        InputError where records of another are, or without a mark any."""
+        InputError where records of another are, or any unless it `goes_on`."""
         pvd = self.path
-        there = "another's" * any(pvd.parent.glob("record_*.vtu"))
-        text = self.nodes.comm.bcast(pvd.read_text(errors="replace") if pvd.is_file() else there)
-        known = re.match(re.escape(PVD) + r"<!-- (\d{1,8}) (\w+) -->\n", text)
-        own = self.resume and text.startswith(f"{PVD}\n")
+        text = "another's" * any(pvd.parent.glob("record_*.vtu"))
+        text = self.nodes.comm.bcast(pvd.read_text(errors="replace") if pvd.is_file() else text)
+        known = re.match(re.escape(PVD) + r"<!-- (\d{1,16}) (\w+) -->\n", text)
+        self.last = int(known[1]) if known else -1
         with agreed(self.nodes.comm):
-            if text and not (known[2] == mark(int(known[1])) if mark and known else own):
+            if text and not (known and goes_on and known[2] == mark(self.last)):
                 raise InputError(
-                    f"{pvd}: is there, or records beside it, of another motion, program or run, or "
-                    "of more steps; name another folder, or resume=True for a writer of your own"
+                    f"{pvd}: is there, or records by it, of another motion, program, run, nodes or "
+                    "fields, or of more steps; name another folder, or resume=True for your own"
                 )
-        self.mark, self.claimed = mark, True
+        self.mark = mark
 
     def write(self, step: Natural, time: float, fields: Arrays) -> None:
         """Write one record of the motion, after which later ones are none; vectors in the plane get
@@ -154,16 +153,21 @@ class TimeSeriesWriter:
                     raise InputError(f"fields: expected names that XML holds, got {name!r:.60}")
                 found[name] = one = plain(name, values)
                 arguments.check_shape(name, one, (len(self.x), *one.shape[1:2]))
-        same(nodes.comm, step=step, time=time, fields={n: one[:0] for n, one in found.items()})
-        if not self.claimed:
-            self.claim()
+        kinds = {name: one[:0] for name, one in found.items()}
+        same(nodes.comm, step=step, time=time, fields=kinds)
+        if not hasattr(self, "mark"):
+            own = fingerprint(nodes.mark(self.x), kinds)
+            self.claim(lambda _: own, self.resume)
         whole = gathered(nodes.comm, {"": self.x, **found}, nodes.number, nodes.count)
-        head = PVD if self.mark is None else f"{PVD}<!-- {step} {self.mark(step)} -->"
+        head = f"{PVD}<!-- {step} {self.mark(step)} -->"
         with agreed(nodes.comm), written(self.path.parent):
             if nodes.comm.rank == 0:
                 pvd, x, name = self.path, whole.pop(""), f"record_{step:08d}.vtu"
                 if not pvd.exists():  # or a record of a job that is killed here is nobody's
                     write_text(pvd, f"{head}\n{END}")
+                    self.last = step
+                elif not pvd.read_text().startswith(f"{PVD}<!-- {self.last} "):
+                    raise InputError(f"{pvd}: another writer writes here")
                 write_vtu(pvd.parent / name, x, ("vertex", np.arange(len(x))[:, None]), whole)
                 before = re.finditer(RECORD, pvd.read_text())
                 lines = [
@@ -172,6 +176,7 @@ class TimeSeriesWriter:
                 ]  # fmt: skip
                 line = f'<DataSet timestep="{float(time)!r}" file="{name}"/>'
                 write_text(pvd, "\n".join([head, *lines, line, END]))
+                self.last = step
 
 
 class Recorder:
