@@ -66,6 +66,10 @@ class Dirichlet:
     u: Any
     learns = True  # gradients
 
+    def __post_init__(self) -> None:
+        if self.u is None:
+            raise InputError("u: expected a displacement, zeros of a body held at rest, got None")
+
     def solved(self, material: Any, solver: Any, options: Options) -> Solution:
         """Solve for the material at rest."""
         extra = picked(options, "parameters")
@@ -125,7 +129,7 @@ class Periodic:
         operator = placed(material, nodes_of(self.points), **options)
         rest = offered(operator, "solve_periodic", "solve", "a model that solves periodic problems")
         if extra or is_tensor(self.b):
-            zero = 0 * self.b.detach() if is_tensor(self.b) else np.zeros(np.shape(self.b))
+            zero = np.zeros(np.shape(self.b))
             return operator.solve_torch(self.b, zero, solver, **extra)  # type: ignore[no-any-return]
         load = checked("b", self.b, float, (..., *self.points.x.shape))
         return rest(load, solver)  # type: ignore[no-any-return]
@@ -233,8 +237,8 @@ def _on_ranks(problem: Any, options: Options, verb: str) -> bool:
     points = getattr(problem, "points", None)
     pieces = is_piece(points)
     with agreed(points.comm if pieces else ALONE):  # type: ignore[union-attr]
-        for name in {"parameters", "watch"} & options.keys():
-            if options[name] is not None:
+        for name in ("parameters", "watch"):
+            if options.get(name) is not None:
                 check_mapping(name, options[name])
         for name, of in OPTIONS_OF.items():
             if options.get(name) is not None and not any(

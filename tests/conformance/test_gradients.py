@@ -313,7 +313,7 @@ def test_lists_and_numbers_keep_all_their_digits():
     exact = solved(u, double(mu))
     assert torch.equal(solved(u.tolist(), mu), exact)
     hidden = masked(u.numpy())
-    for wrong, said in ((None, "numbers, got NoneType"), ("u", "got str"), (hidden, "finite")):
+    for wrong, said in ((None, "got None"), ("u", "got str"), (hidden, "finite")):
         with refused(f"u: expected .*{said}"):
             solved(wrong, mu)
     step = {"density": 2000.0, "step": 1e-3, "steps": 3}
