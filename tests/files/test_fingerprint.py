@@ -2,6 +2,7 @@
 
 import csv
 import json
+import multiprocessing
 import os
 import pickle
 import random
@@ -143,6 +144,7 @@ def test_materials_settings_functions_and_objects_count_by_what_they_hold():
         (lambda *, low, high: high - low, lambda *, high, low: low - high),
         *((np.ma.array(x, mask=x > of) for of in (0, 1)),),
         *((Circle((0, 0), of) for of in (1, 2)),),
+        [multiprocessing.Value("d", of) for of in (1, 2)],
         (heir(lambda self: np.min), heir(lambda self: np.max)),
         *((type("Of", (), {"limit": of, "__module__": __name__})() for of in (x, 2 * x)),),
         (Above(0.3).__call__, Above(0.4).__call__),

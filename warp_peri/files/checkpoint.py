@@ -212,6 +212,8 @@ def _unwrapped(part: Any) -> Any:
         return part.data, part.boxsize, part.leafsize
     if isinstance(part, WeakKeyDictionary):  # a cache
         return None
+    if hasattr(type(part), "get_obj"):  # a number that processes share
+        return type(part.get_obj()), bytes(part.get_obj())
     if isinstance(part, np.vectorize):  # which keeps a ufunc once it is called
         return part.pyfunc, part.signature, part.excluded
     if isinstance(part, (np.timedelta64, np.longdouble)):  # more than numbers are told by
