@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from tqdm import tqdm
 
-from warp_peri.errors import Arrays, InputError, Rows, Shown, StrPath, Values, agreed
+from warp_peri.errors import Arrays, InputError, Rows, Shown, StrPath, Values, agreed, warn
 from warp_peri.files.atomic import meshio_of, write_text, write_vtu, written
 from warp_peri.files.checkpoint import AllNodes, RunFile, fingerprint, gathered, held, same
 from warp_peri.points import arguments
@@ -294,6 +294,9 @@ class Recorder:
                 del one[-1:]
             if self.series is not None:
                 self.series.dropped = taken
+        last = taken if self.series is None else self.series.last
+        if -1 < last < taken - (taken - self.phase) % self.every:
+            warn(f"series: no records after step {last} until {taken}, when it was left out")
         self.history = rows
         self.bent = float(plain(f"{file.path}: bent", content.get("bent")))
         return self.restored(state, arrays, taken)
