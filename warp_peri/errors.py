@@ -46,6 +46,9 @@ class InputError(ValueError):
     InputError: interior: expected bool values, got float64
     """
 
+    motion: Any = None
+    """Of a crack run that ends so: the Motion until then."""
+
     def __init__(self, message: object) -> None:
         shown = printable(" ".join(str(message)[: 4 * LONGEST].split()))
         super().__init__(shown if len(shown) <= LONGEST else shown[:LONGEST] + " …")

@@ -397,13 +397,16 @@ def watched(name, watch):
 
 
 def test_what_watches_damage_is_named_once_gives_numbers_and_changes_nothing():
-    sizes, run = iter((1, 2)), watched("b", lambda phi: phi.sum())
+    sizes, run = iter((1, 2, 1, 2)), watched("b", lambda phi: phi.sum())
     assert run["b"].shape == (2,)
     each_refused(watched, {
         "watch: expected functions, none named time, work": ("work", np.sum),
         "watch b: expected float values": ("b", lambda phi: 1j),
         r"watch b: expected shape \[1\], got \[2\]": ("b", lambda phi: np.zeros(next(sizes))),
     })  # fmt: skip
+    with refused("watch b: expected shape") as told:
+        watched("b", lambda phi: np.zeros(next(sizes)))
+    assert told.value.motion["b"].shape == (1, 1)  # what was recorded until then
     assert not watched("b", lambda phi: phi.fill(1) or phi.sum()).details.damage.any()
 
 

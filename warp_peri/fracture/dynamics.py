@@ -218,6 +218,8 @@ def step(body: BreakingBody, state: BreakingState, dt: float) -> BreakingState:
 
 NODAL = "u", "v", "force", "energy", "work"
 """Arrays of a state that a checkpoint holds for each node."""
+GROWN = dict[str, str]()
+"""Marks of functions that watch as a run leaves them, with what they keep, and those before it."""
 LEDGER = "time", "work", "kinetic", "elastic", "dissipated"
 
 
@@ -269,11 +271,25 @@ class CrackRun(Recorder):
                 )
         self.body, self.dt = body, float(step)
         self.history = {name: [] for name in LEDGER}
-        told = self.file or self.series  # before functions that keep things are called
-        for name, one in (self.watch if told else {}).items():
-            if fingerprint(one) != fingerprint(one):
-                raise InputError(f"watch {name}: expected what a checkpoint can tell from others")
-        self.watched = fingerprint(self.every, self.watch) if told else ""
+        mark = self._told()  # before functions that keep things are called
+        if mark != self._told():
+            new = [name for name, one in self.watch.items() if fingerprint(one) != fingerprint(one)]
+            what = ", ".join(new)
+            raise InputError(f"watch {what}: expected what a checkpoint can tell from others")
+        self.watched = GROWN.get(mark, mark)
+
+    def _told(self) -> str:
+        """Mark of what is recorded, where a file is to know it."""
+        return fingerprint(self.every, self.watch) if self.file or self.series else ""
+
+    def _marched(self, state: BreakingState, steps: int, progress: bool) -> Any:
+        try:
+            return super()._marched(state, steps, progress)
+        except InputError as error:
+            error.motion = self.motion(state)
+            raise
+        finally:
+            GROWN[self._told()] = self.watched
 
     def motion(self, state: BreakingState) -> Motion:
         """Records so far as a Motion, with the end at the nodes of this process."""
