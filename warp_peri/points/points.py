@@ -308,6 +308,10 @@ def straight_steps(x: np.ndarray, h: float, unit: str = "") -> Lattice:
         axes = _axes(x, h, near, unit)
         place = (x - x[0]) @ axes / h
         off = np.abs(place - np.rint(place)).max(axis=1)
+    elif near > LATTICE_TOLERANCE:  # in single precision a row has one coordinate
+        gap = np.diff(np.sort(x.T))
+        if ((gap > np.spacing(np.float32(np.abs(x).max()))) & (gap < h / 2)).any():
+            near = LATTICE_TOLERANCE
     if len(far := np.flatnonzero(off > near)):
         raise InputError(
             f"points: expected a {SHAPES[d]} lattice of spacing {h}{unit}; off it: {listed(far)}, "
