@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import functools
 import math
 import os
@@ -26,6 +27,7 @@ Comm: TypeAlias = Any
 """A communicator of mpi4py."""
 GRACE = 0.5
 """Seconds that the first rank has to speak, where all meet the same error."""
+ENDED = "ranks: expected all here, each with its piece, but another's script has ended"
 THREADS = get_num_threads()
 """Before anybody says a number."""
 
@@ -94,6 +96,14 @@ def _uncaught(comm: Comm, kind: type[BaseException], error: BaseException, trace
     known = isinstance(error, InputError)
     lines = [f"error: {error}"] if known else traceback.format_exception(kind, error, trace)
     _ended(comm, f"rank {comm.rank}: " * (not known) + "".join(lines).rstrip(), 2 if known else 1)
+
+
+@functools.cache
+def tell_ends() -> None:
+    """Let a rank that ends, as with whole points, say so where others wait for it to agree."""
+    from mpi4py.MPI import Is_finalized as over
+
+    atexit.register(lambda: over() or [*iter(lambda: {*world().allgather(ENDED)}, {ENDED})])
 
 
 def together() -> AbstractContextManager[None]:
@@ -195,6 +205,7 @@ def cut(comm: Comm, shape: Shape, rows: int) -> Slabs:
             f"ranks: expected at most {count} for {' × '.join(map(str, shape))} nodes, slabs of "
             f"{rows} rows, got {ranks}"
         )
+    tell_ends()
     starts = np.minimum(rows * (count * np.arange(ranks + 1) // ranks), shape[0])
     return Slabs(tuple(map(int, shape)), rows, starts)
 

@@ -39,7 +39,7 @@ from warp_peri.points.arguments import (
     taken,
 )
 from warp_peri.points.families import HORIZON_TOLERANCE
-from warp_peri.points.points import LATTICE_TOLERANCE, PointsLike, checked_axis, nodes_of
+from warp_peri.points.points import PointsLike, checked_axis, nodes_of
 from warp_peri.runtime import ranks_started
 from warp_peri.solvers.motion import Motion, Recorder
 from warp_peri.solvers.solution import CG, TOLERANCE, Solution, Solver, by_sample, refuse_solver
@@ -262,7 +262,7 @@ def lattice(
     with agreed(comm):
         inside = checked("interior", interior(x.copy()), bool, (len(x),))
         check_units(units)
-    if not any(comm.allgather(bool(inside.any()))):
+    if not any(comm.allgather(inside.any())):
         raise InputError("interior: expected at least one interior node, got none")
     parts = x, inside, float(spacing), number, math.prod(shape), grid, slabs, units, axis
     return Subdomain(comm, *parts).numbered()
@@ -279,17 +279,16 @@ def partition(points: PointsLike) -> Any:
     same(comm, points=points)
     if not points.is_open_lattice:
         raise InputError("points: expected a lattice that has no box and none outside, for ranks")
-    place = (points.x - points.x.min(axis=0)) / points.spacing
-    grid = np.rint(place).astype(np.int32)
-    if np.abs(place - grid).max() > LATTICE_TOLERANCE:
+    grid, axes = points.lattice
+    if (axes != np.eye(points.dimension)).any():
         raise InputError("points: expected a lattice along the axes on ranks, got a turned one")
-    if (twice := len(grid) - len(np.unique(grid, axis=0))) > 0:
+    if twice := len(grid) - len(np.unique(grid, axis=0)):
         raise InputError(f"points: expected each node once, got {twice} duplicates")
     shape = tuple((grid.max(axis=0) + 1).tolist())
     slabs = cut(comm, shape, _rows(shape))
     rows = slabs.own(comm.rank)
     own = np.flatnonzero((grid[:, 0] >= rows.start) & (grid[:, 0] < rows.stop))
-    if min(comm.allgather(len(own))) == 0:
+    if not all(comm.allgather(len(own))):
         raise InputError(f"points: {len(grid)} nodes are too few for {comm.size} ranks")
     nodes = points.x[own], points.interior[own], points.spacing, own, len(grid), grid[own]
     return Subdomain(comm, *nodes, slabs, points.units, points.axis).numbered()
