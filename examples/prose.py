@@ -10,7 +10,7 @@ from typing import Any
 
 from tools.options import Options
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import finite, plain, write_json
+from warp_peri.files.atomic import finite, write_json
 
 Table = tuple[Sequence[str], Iterable[Sequence[str]]]
 """Heads of columns, and rows of cells."""
@@ -50,7 +50,7 @@ def made_by(command: str) -> dict[str, Any]:
 
 def write_record(path: Path, command: str, **content: Any) -> None:
     """Write what a command found, below its head."""
-    write_json(path, finite(plain(made_by(command) | content)))
+    write_json(path, finite(made_by(command) | content))
 
 
 def said_by(call: Callable[[], Any]) -> str:

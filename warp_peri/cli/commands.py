@@ -65,7 +65,7 @@ def run_evaluate(given: Namespace) -> Said:
     for name in given.sets or data:
         try:
             found = warp_peri.evaluate(model, data[name], **chosen(given, *OF_SOLVES))
-            tables[name] = finite(plain({"samples": len(data[name])} | found))
+            tables[name] = finite({"samples": len(data[name])} | found)
         except InputError as error:
             if given.sets:
                 raise InputError(f"set '{name}': {error}") from None
@@ -171,7 +171,7 @@ def run_info(given: Namespace) -> Said:
     """Describe a model, a data file or a mesh."""
     held = load(given.file)
     told = getattr(held, "summary", None) or held.rows
-    return finite(plain(dict(told()))), repr(held).split("\n")
+    return finite(dict(told())), repr(held).split("\n")
 
 
 def chosen(given: Any, *names: str) -> Values:

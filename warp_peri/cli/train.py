@@ -20,10 +20,10 @@ from warp_peri.cli.commands import Said, chosen, error_table, keep, lines_of, wr
 from warp_peri.cli.main import beside, check_made, hash_of
 from warp_peri.errors import InputError, Values, warn
 from warp_peri.files.atomic import (
+    SMALL,
     content,
     finite,
     locked,
-    plain,
     read_arrays,
     whole_file,
     write_json,
@@ -138,7 +138,7 @@ def atom_forces(path: Path, atoms: int) -> np.ndarray:
     """Read external forces on the atoms [eV/Å], shape [A, 2], from .npz or text with commas."""
     try:
         if path.suffix == ".npz":
-            (force,) = read_arrays(path).values()
+            (force,) = read_arrays(path, SMALL + 32 * atoms).values()
         else:
             force = np.loadtxt(io.BytesIO(content(path)), delimiter=",", ndmin=2)
     except (OSError, ValueError) as error:
@@ -299,7 +299,7 @@ def run_fit_crystal(given: Namespace) -> Said:
             found = warp_peri.fit_crystal(structure, calculator, **how)
         begin()
         warp_peri.save(path, found.material)
-        write_json(given.out / "crystal.json", finite(plain(found.content())))
+        write_json(given.out / "crystal.json", finite(found.content()))
         group, wave, proof = found.law.symmetry, found.holds_to["law"], found.certificate
         sheet = found.said.get("thickness")
         lines = [

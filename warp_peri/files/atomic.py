@@ -37,16 +37,18 @@ BROKEN = zipfile.BadZipFile, EOFError, RuntimeError, KeyError, NotImplementedErr
 NO_PLACE = FileExistsError, FileNotFoundError, NotADirectoryError, IsADirectoryError
 
 
-def read_arrays(path: StrPath) -> Arrays:
+def read_arrays(path: StrPath, most: int = MOST) -> Arrays:
     """Read the arrays of an np.savez file by name. OSError when it cannot be read, ValueError for
-    all else: compressed, truncated, other sizes than its headers claim, objects."""
+    all else: compressed, truncated, other sizes than its headers claim, more bytes, objects."""
     check_regular(path)
-    size = min(os.path.getsize(path), MOST)
+    most = min(os.path.getsize(path), most)
     try:
         with zipfile.ZipFile(path) as archive:
             for entry in archive.infolist():
-                if entry.compress_type != zipfile.ZIP_STORED or entry.file_size > size:
-                    raise ValueError(f"{entry.filename!r}: expected an array as it is, not packed")
+                if entry.compress_type != zipfile.ZIP_STORED or entry.file_size > most:
+                    raise ValueError(
+                        f"{entry.filename!r}: expected {most} bytes at most, not packed"
+                    )
         with np.load(path, allow_pickle=False) as file:
             return dict(file)
     except BROKEN as error:
@@ -163,12 +165,8 @@ def plain(value: Any) -> Any:
 
 
 def finite(value: Any) -> Any:
-    """Replace the floats inside plain `value` that JSON has no number for by None."""
-    if isinstance(value, dict):
-        return {key: finite(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    """Plain values of what JSON holds, None for floats that it has no number for."""
+    return json.loads(json.dumps(plain(value)), parse_constant=lambda _: None)
 
 
 def parsed(text: str | bytes) -> Any:

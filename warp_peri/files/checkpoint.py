@@ -27,7 +27,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from warp_peri import __version__
-from warp_peri.errors import ALONE, Arrays, InputError, StrPath, Values, agreed
+from warp_peri.errors import ALONE, Arrays, InputError, StrPath, Values, agreed, called
 from warp_peri.files import atomic
 from warp_peri.files.atomic import check_hdf5, locked, parsed, whole_hdf5, written
 
@@ -322,23 +322,17 @@ class RunFile:
         return str(own.mark(*(nodal[name] for name in sorted(nodal)), values))
 
     def read(self, like: Arrays) -> tuple[Arrays, Values] | None:
-        """Read arrays on all nodes here, which fit others (check_like), and the values; None where
+        """Read arrays on all nodes here, which fit others (rows_like), and the values; None where
         there is no file yet. InputError for a file of another kind, and one that is not read."""
         nodes, comm = self.nodes, self.nodes.comm
         if not comm.bcast(self.path.exists()):
             return None
-        rows = dict.fromkeys(like, nodes.number) | {"values": None}
+        told = "format", self.kind, f"expected one of {self.kind}"
         with agreed(comm):
-            found, attributes = read_arrays(self.path, rows)
-            try:
-                if attributes.get("format") != self.kind:
-                    raise ValueError(f"expected one of {self.kind}")
-                check_like(found, like)
-                text = found.pop("values")
-                values = parsed(text.tobytes())
-            except ValueError as error:
-                raise InputError(f"{self.path}: not a readable checkpoint ({error})") from None
-        if str(attributes.get("mark")) != self._mark({n: found[n][nodes.own] for n in found}, text):
+            found, mark = read_arrays(self.path, like | {"values": np.zeros(0, "u1")}, told, nodes)
+            text = found.pop("values")
+            values = called(f"{self.path}: expected values in JSON", parsed, text.tobytes())
+        if mark != self._mark({n: found[n][nodes.own] for n in found}, text):
             raise InputError(f"{self.path}: the contents are not what was written")
         return found, values
 
@@ -357,32 +351,27 @@ class ArrayFile:
             write_arrays(self.path, made, {"key": self.key, "mark": fingerprint(made)})
 
     def read(self, like: Values) -> Arrays | None:
-        """Arrays of the checkpoint, which fit others (check_like); None where there is no file yet;
+        """Arrays of the checkpoint, which fit others (rows_like); None where there is no file yet;
         InputError for a file of another run, and one that is not read."""
         if self.path is None or not self.path.exists():
             return None
-        arrays, head = read_arrays(self.path)
-        if str(head.get("key")) != self.key:
-            raise InputError(f"{self.path}: the checkpoint of {self.other}")
-        try:
-            if str(head.get("mark")) != fingerprint(arrays):
-                raise ValueError("not what was written")
-            check_like(arrays, like)
-        except (KeyError, ValueError) as error:
-            raise InputError(f"{self.path}: not a readable checkpoint ({error})") from None
+        told = f"the checkpoint of {self.other}"
+        arrays, mark = read_arrays(self.path, like, ("key", self.key, told))
+        if mark != fingerprint(arrays):
+            raise InputError(f"{self.path}: not a readable checkpoint (not what was written)")
         return arrays
 
 
-def check_like(found: Arrays, like: Arrays) -> None:
-    """Raise ValueError, or KeyError, unless arrays are of the names, types and shapes of others,
-    rows of what is empty there as many as it has, and without NaN."""
-    for name, one in like.items():
-        one, got = np.asarray(one), found[name]
-        shapes = [each.shape[not one.size :] for each in (one, got)]
-        if (*shapes, got.ndim, got.dtype) != (*shapes[::-1], one.ndim, one.dtype):
-            raise ValueError(f"{name} is of another number of nodes, or another kind")
-        if np.isnan(got).any():
-            raise ValueError(f"{name} is no number somewhere")
+def rows_like(name: str, found: Any, like: Any, nodes: Any) -> Any:
+    """Rows that `nodes` have here of an array that is not read yet. ValueError unless it is of the
+    type and shape of another, and of what is empty there any number of rows, all of which count."""
+    like, number = np.asarray(like), getattr(nodes, "number", None)
+    first = like.shape[:1] if number is None else (nodes.count,)
+    if not like.size:
+        first, number = found.shape[:1] or (0,), None
+    if (found.shape, found.dtype) != ((*first, *like.shape[1:]), like.dtype):
+        raise ValueError(f"{name} is of another number of nodes, or another kind")
+    return () if number is None else number
 
 
 def gathered(comm: Any, arrays: Arrays, own: Any, count: int) -> Values:
@@ -407,11 +396,9 @@ def write_arrays(path: StrPath, arrays: Arrays, attributes: Values) -> None:
         file.attrs.update(attributes)
 
 
-def read_arrays(
-    path: StrPath, place: Mapping[str, np.ndarray | None] | None = None
-) -> tuple[Arrays, Values]:
-    """Read rows at places of arrays by name (None, or no name: all), and the attributes; InputError
-    for a file that is none or lacks an array."""
+def read_arrays(path: StrPath, like: Values, told: Any, nodes: Any = None) -> tuple[Arrays, str]:
+    """Read arrays that fit others on `nodes`, looked at (rows_like) before they take memory, and
+    the mark; `told` are an attribute, its value, and words for others. InputError for other files."""
     found = {}
     atomic.check_regular(path)
     try:
@@ -419,12 +406,18 @@ def read_arrays(
             check_hdf5(file)
             if "mark" not in file.attrs:
                 raise ValueError("expected one of this run, got another HDF5 file")
-            for name, rows in (dict.fromkeys(file) if place is None else place).items():
-                one, offset = file[name], file[name].id.get_offset()
+            if str(file.attrs.get(told[0])) != told[1]:
+                raise ValueError(told[2])
+            for name, want in like.items():
+                one = file[name]
                 if one.dtype.kind not in "biufc":  # bytes of anything else would be pointers
                     raise ValueError(f"{name} holds no numbers")
-                whole = np.memmap(path, one.dtype, "r", offset, one.shape) if one.size else one
-                found[name] = np.array(whole[() if rows is None else rows])
-            return found, dict(file.attrs)
+                rows = rows_like(name, one, want, nodes)
+                if one.size:
+                    one = np.memmap(path, one.dtype, "r", one.id.get_offset(), one.shape)[rows]
+                found[name] = np.array(one)
+                if np.isnan(found[name]).any():
+                    raise ValueError(f"{name} is no number somewhere")
+            return found, str(file.attrs["mark"])
     except (OSError, RuntimeError, LookupError, AttributeError, TypeError, ValueError) as error:
         raise InputError(f"{path}: not a readable checkpoint ({error})") from None

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.linalg import norm
 from scipy.spatial import cKDTree
 
-from warp_peri.errors import InputError, Rows, Shown, StrPath, Values, warn
+from warp_peri.errors import InputError, Rows, Shown, StrPath, Values, called, warn
 from warp_peri.files.atomic import check_hdf5, check_regular, parsed, plain, whole_hdf5
 from warp_peri.points.arguments import (
     USUAL,
@@ -239,12 +239,10 @@ FORMAT, VERSION = "warp_peri.dataset", 1
 _NEEDED = ("x", "u", "interior")
 
 
-def _written(provenance: Any) -> str:
+def _written(provenance: Any) -> Any:
     """Provenance as JSON text; InputError where it is not JSON."""
-    try:
-        return json.dumps(plain(provenance), allow_nan=False)
-    except (TypeError, ValueError, RecursionError) as error:
-        raise InputError(f"provenance: expected plain JSON values ({error})") from None
+    text = lambda: json.dumps(plain(provenance), allow_nan=False)  # noqa: E731
+    return called("provenance: expected plain JSON values", text)
 
 
 def seen_of(samples: Samples) -> np.ndarray:
@@ -388,10 +386,7 @@ def _read(file: h5py.File) -> Dataset:
         warn("the file names no units: taken as Å and TPa")
         named = USUAL
     units = check_units(named)
-    try:
-        provenance = parsed(head.get("provenance", "{}"))
-    except ValueError as error:
-        raise InputError(f"provenance: expected JSON ({error})") from None
+    provenance = called("provenance: expected JSON", parsed, head.get("provenance", "{}"))
     sets = {name: within(f"set '{name}'", _read_points, one, units) for name, one in file.items()}
     data = Dataset(sets, head["thickness"], head["density"], provenance)
     mark = content_hash(data)
