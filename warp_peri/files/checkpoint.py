@@ -398,7 +398,7 @@ def write_arrays(path: StrPath, arrays: Arrays, attributes: Values) -> None:
 
 def read_arrays(path: StrPath, like: Values, told: Any, nodes: Any = None) -> tuple[Arrays, str]:
     """Read arrays that fit others on `nodes`, looked at (rows_like) before they take memory, and
-    the mark; `told` are an attribute, its value, and words for others. InputError for other files."""
+    the mark; `told` are an attribute, its value, and words for others. InputError for others."""
     found = {}
     atomic.check_regular(path)
     try:
