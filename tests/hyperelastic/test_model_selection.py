@@ -13,7 +13,7 @@ from tests.support import approx, of_json, parametrize, refused, slow
 from tests.support.sheets import NEAREST, hgo_dictionary, square, waves
 from tests.support.solving import solve
 from tools import make_frames
-from tools.hyperelastic_elements import Elements, finite_elements, quadrilaterals
+from tools.hyperelastic_elements import Elements, finite_elements, square_mesh
 from tools.hyperelastic_energies import Family, plane_stress_hgo
 from warp_peri.atoms.dic import DICFrame, dic_to_lattice
 from warp_peri.cli.main import main
@@ -145,7 +145,7 @@ def stretched(mesh, energy, fixed, given, x, levels):
     for level in levels:
         u = mesh.solve(energy, np.zeros(2 * mesh.nodes), fixed, level * given, start=u, steps=2)
         fields.append(mesh.sample(u, x) + 2e-4 * rng.standard_normal(x.shape))
-        forces.append(mesh.internal(energy, u))
+        forces.append(mesh.forces(mesh.state(energy, u)[0], u))
     return fields, forces
 
 
@@ -153,7 +153,7 @@ def stretched(mesh, energy, fixed, given, x, levels):
 def test_the_command_finds_families_of_fibres(tmp_path):
     """Of elements: at 20° and 80° within 3°, k1/μ within 10 %; a file for FEBio, and curves."""
     true, out = [Family(np.deg2rad(a), k1, 0.8) for a, k1 in ((20, 1.5), (80, 1.0))], tmp_path / "o"
-    mesh = Elements(quadrilaterals(14, 2.6))
+    mesh = Elements(square_mesh("MeshQuad", 14, 2.6))
     edge = mesh.x @ [[0.30, 0.05], [0.0, 0.25]] + waves(SimpleNamespace(x=mesh.x), 0.3, 1)
     x, given = 0.1 * grid_places((27, 27)), edge.ravel()[mesh.edge]
     how = plane_stress_hgo(1.0, true), mesh.edge, given, x, np.linspace(0.4, 1, 4)

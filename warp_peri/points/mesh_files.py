@@ -16,6 +16,7 @@ from numpy.linalg import det
 
 from warp_peri.errors import Arrays, InputError, StrPath, warn
 from warp_peri.files.atomic import check_hdf5, check_xml, content, meshio_of
+from warp_peri.points.arguments import check_nodes
 from warp_peri.points.mesh import REST, Mesh, facets_of, make_mesh
 
 CORNERS = {"triangle": 3, "triangle6": 3, "tetra": 4, "tetra10": 4}
@@ -52,6 +53,10 @@ def load_mesh(path: StrPath) -> Mesh:
             return _body_of(read_abaqus(content(path).decode("utf-8", "replace")))
         if form in ("vtu", "xdmf"):
             _check_arrays(path)
+        if form == "gmsh":  # meshio makes an array of as many as the largest number, in text
+            nodes = path.read_bytes().partition(b"$Nodes")[2].partition(b"$End")[0].splitlines()
+            first = [row[0] for row in map(bytes.split, nodes) if len(row) not in (0, 3)]
+            check_nodes("$Nodes", [max(map(int, filter(bytes.isdigit, first)), default=0)])
         if form == "vtk" and b"UNSTRUCTURED_GRID" not in content(path).upper():
             raise InputError("expected an UNSTRUCTURED_GRID, got none")
         return _body_of(meshio_of("bodies").read(path, file_format=form))
