@@ -5,6 +5,7 @@ import gzip
 import ase
 import ase.io
 import numpy as np
+import torch
 import zstandard
 from ase.build import bulk
 from numpy.random import default_rng
@@ -77,7 +78,11 @@ def test_frames_and_structures_are_read_whatever_they_are_packed_in(tmp_path):
 def grained(dumps, force=None, **how):
     """Samples of dumps of the periodic body."""
     force = np.ones((len(dumps), 30, 2)) if force is None else force
-    given = {"omega": OMEGA, "points": POINTS, "atoms": ReferenceAtoms(REFERENCE, box=BOX)}
+    given = {
+        "omega": OMEGA,
+        "points": POINTS,
+        "atoms": ReferenceAtoms(REFERENCE, box=torch.tensor(BOX, dtype=float)),
+    }
     return coarse_grain_dumps(dumps, force=force, **GRAIN | given | how)
 
 

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import torch
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -143,7 +144,7 @@ def test_forces_set_the_scale_and_their_scatter_is_told(frames):
         pull = np.full((len(frames), 2), np.nan)
         pull[known, 1] = np.array(pulls)[known]
         pull[1, 1] *= 1 + error
-        measured = replace(frames, arrays={PULL: pull})
+        measured = replace(frames, arrays={PULL: torch.tensor(pull)})
         fit = wp.fit(measured, sheet(), **TIGHT)
         assert_allclose(fit.material.coefficients, TRUTH, rtol=1e-3 + error, atol=1e-5)
         scales = [other.scale for other in fit.others]

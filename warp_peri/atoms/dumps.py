@@ -371,6 +371,7 @@ def check_box(
         raise InputError(f"{path}: box: expected the header's {wanted} Å, got {got} Å")
 
 
+@typed
 @dataclass(frozen=True)
 class ReferenceAtoms:
     """Atoms of the dumps: reference positions without load [Å], [A, 2], by id, and mass [A] or of

@@ -419,7 +419,7 @@ def taken(key: str, hint: Any, value: Any, says: FieldUnits = PLAIN, *, read: bo
         return taken(key, hint, value, says, read=read)
     hint = get_origin(hint) or hint
     if hint is tuple:
-        if not (isinstance(value, (list, tuple, np.ndarray)) and getattr(value, "ndim", True)):
+        if not (isinstance(value, (list, tuple)) or getattr(value, "ndim", False)):
             raise InputError(f"{key}: expected a list, got {value!r:.50}")
         kinds = parts if parts[-1] is not Ellipsis else parts[:1] * len(value)
         if len(kinds) != len(value):

@@ -25,15 +25,16 @@ from warp_peri.points.arguments import (
     USUAL,
     ArrayMap,
     Options,
+    Positive,
     Units,
     as_array,
+    check_arguments,
     check_function,
     check_nodes,
     check_units,
     checked,
     checked_fields,
     is_piece,
-    is_positive,
     offered,
     plain,
     taken,
@@ -223,7 +224,7 @@ class NodeHalo:
 
 def lattice(
     shape: Shape,
-    spacing: float,
+    spacing: Positive,
     interior: ArrayMap,
     *,
     origin: Any = 0.0,
@@ -246,8 +247,7 @@ def lattice(
         shape = tuple(checked("shape", shape, int, ("d",)).tolist())
         if len(shape) not in (2, 3) or min(shape) < 1:
             raise InputError(f"shape: expected two or three counts of nodes, got {list(shape)}")
-        if not is_positive(spacing):
-            raise InputError(f"spacing: expected a number > 0, got {spacing!r:.60}")
+        spacing = check_arguments(lattice, {"spacing": spacing})["spacing"]
         if np.shape(origin := checked("origin", origin)) not in ((), (len(shape),)):
             raise InputError(f"origin: expected {len(shape)} coordinates, got {len(origin)}")
         check_nodes("shape", shape)

@@ -205,7 +205,7 @@ class Search:
                 "without loads at all, leave b out"
             )
         self.weight = seen / size[:, None]
-        pull = samples.arrays.get(PULL, np.full((len(samples), 2), np.nan))
+        pull = arguments.plain(PULL, samples.arrays.get(PULL, np.full((len(samples), 2), np.nan)))
         pull = checked(PULL, pull, float, (len(samples), 2), np.equal(pull, pull))
         self.pulled = np.argwhere(~np.isnan(pull) & (not self.by_load))
         self.pull = pull[*self.pulled.T]
