@@ -159,6 +159,7 @@ def test_what_cannot_be_used_is_refused_and_files_ask_for_the_energy(tmp_path):
         "^energy: expected a function of strains in torch": (
             lambda: of(lambda E: E.detach().numpy()[..., 0, 0]).on(points),
             lambda: of(torch.Tensor.trace).on(points),
+            lambda: of(lambda E: blatz_ko(E.float(), MU)).on(points),
         ),
         f"{one} NoneType": lambda: of(lambda E: None).on(points),
         f"{one} float": lambda: of(lambda E: 2.0).on(points),

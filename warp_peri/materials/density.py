@@ -154,6 +154,7 @@ class DensityOperator(Pointwise):
         self.model = self.material = material
         uncompiled = getattr(material.energy, "_torchdynamo_orig_callable", material.energy)
         uncompiled = getattr(uncompiled, "_orig_mod", uncompiled)  # for second derivatives
+        what = "energy: expected a function of strains in torch, uncompiled, with derivatives"
 
         def energy(E: torch.Tensor, **numbers: Any) -> torch.Tensor:
             W = uncompiled(E, **numbers)
@@ -162,10 +163,11 @@ class DensityOperator(Pointwise):
                 raise InputError(
                     f"energy: expected one value a strain, {list(E.shape[:-2])}, got {got}"
                 )
+            if W.dtype != E.dtype:  # a solve would stop short
+                raise InputError(f"{what}, of {E.dtype}, got {W.dtype}")
             return material.scale * W  # type: ignore[no-any-return]
 
         of = nodes, material.horizon, energy, *sided_gradients(nodes, material.horizon)
-        what = "energy: expected a function of strains in torch, uncompiled, with derivatives"
         called(what, super().__init__, *of, numbers=material.parameters)
         none = np.zeros((nodes.dimension, nodes.dimension, 1))
         with own_torch():
