@@ -108,13 +108,8 @@ def _inside(model: Any, points: Samples, u: np.ndarray) -> Arrays:
     if isinstance(linear := getattr(model, "linear", None), LPSMaterial):
         if linear.certified_on and points.spacing > 0:
             linear = linear.on(points.points).model
-        fields = node_fields(linear, points, u)
-        return {
-            "stress": _tensor(fields.stress),
-            "strain": _tensor(fields.strain),
-            "dilatation": fields.dilatation,
-            "energy": fields.energy,
-        }
+        fields = vars(node_fields(linear, points, u))
+        return fields | {name: _tensor(fields[name]) for name in ("stress", "strain")}
     operator = offered(model, "on", "write_vtk", MATERIAL)(points.points)
     found, stress = {}, operator.stress(u)
     if stress is not None:
@@ -144,9 +139,8 @@ def _cells(points: PointsLike) -> tuple[str, np.ndarray]:
     vertices = "vertex", np.arange(len(points.x))[:, None]
     if points.spacing == 0:
         return vertices
-    place = (points.x - points.x.min(axis=0)) / points.spacing
-    steps = np.rint(place).astype(int)
-    if np.abs(place - steps).max() > 1e-3:  # a turned lattice
+    steps, axes = points.lattice
+    if (axes != np.eye(points.dimension)).any():  # a turned lattice
         return vertices
     kind, around = AROUND[points.dimension]
     number = numbers_at(steps.max(axis=0) + 2, (*steps.T,))

@@ -170,8 +170,7 @@ REFUSED = {
     "thickness: expected shape": lambda: sheet_on(POINTS, thickness=np.ones(3)),
     "thickness: expected finite numbers > 0": lambda: sheet_on(POINTS, thickness=0 * ALL),
     "seen: expected shape": fit(replace(FRAMES, arrays={"seen": 3 * [[True]]})),
-    "degree: expected 1 to 6": lambda: ThicknessField.over(POINTS.x, 7),
-    "degree: expected a whole": lambda: ThicknessField.over(POINTS.x, np.ones(2)),
+    "whole number from 1 to 6": lambda: ThicknessField.over(POINTS.x, 7),
     "x: expected nodes": lambda: ThicknessField.over(POINTS.x[:0], 2),
     "count: expected 1 to 10 000": lambda: wp.hyperelastic.fibre_fan(10**15),
     r"numbers: expected shape \[5\]":

@@ -450,10 +450,9 @@ def surface(
 @typed
 def estimate_noise(samples: Samples) -> np.ndarray:
     """Standard deviation of the displacement noise of every frame [length], shape [S]. From fourth
-    differences: subsets that overlap make the estimate too small."""
-    steps = np.rint((samples.x - samples.x.min(axis=0)) / samples.spacing).astype(int)
+    differences, 70 times the variance: subsets that overlap make the estimate too small."""
+    steps = samples.lattice.steps
     grid = np.full((len(samples), *(steps.max(axis=0) + 1), 2), np.nan)
     grid[:, steps[:, 0], steps[:, 1]] = samples.u
-    fourth = [np.diff(grid, 4, axis=axis).reshape(len(samples), -1) for axis in (1, 2)]
-    deviation = np.nanmedian(np.abs(np.concatenate(fourth, axis=1)), axis=1) / 0.6745
-    return np.asarray(deviation / 70**0.5)  # that of noise of one
+    fourth = ([np.diff(one, 4, axis=axis).ravel() for axis in (0, 1)] for one in grid)
+    return np.array([np.nanmedian(np.abs(np.concatenate(d))) / 0.6745 / 70**0.5 for d in fourth])

@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import Arrays, InputError, InSpace, Rows, Shown, Values, hold, warn
-from warp_peri.points.arguments import as_array, checked, typed
+from warp_peri.points.arguments import Positive, as_array, checked, typed
 from warp_peri.points.points import checked_positions, grid_places
 
 REST = "rest"
@@ -118,7 +118,7 @@ class Mesh(InSpace, Shown):
         of, x = np.append(of, label[self.curved[:, 0]]), np.concatenate([x, self.middle])
         return np.array([np.ptp(x[of == n], axis=0).min() for n in holes])
 
-    def distance(self, x: np.ndarray, step: float) -> np.ndarray:
+    def distance(self, x: np.ndarray, step: Positive) -> np.ndarray:
         """Distance [length] of points to the outline, by points of it about `step` apart."""
         d, corners = self.dimension, self.x[self.faces]
         longest = norm(corners - np.roll(corners, 1, axis=1), axis=2).max()

@@ -13,23 +13,14 @@ import torch
 from warp_peri.errors import InputError, hold
 from warp_peri.materials.hyperelastic.energies import KINDS, LEAST, EnergyTerm, Hyperelastic, Strain
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
-from warp_peri.points.arguments import (
-    Bound,
-    NotNegative,
-    Pair,
-    check_whole,
-    checked,
-    typed,
-    typed_methods,
-)
+from warp_peri.points.arguments import Bound, NotNegative, Pair, checked, typed
 
 Part = Annotated[float, Bound("a number from 0 to 1", lambda part: 0 <= part <= 1)]
 Directions = Annotated[int, Bound("1 to 10 000 directions", lambda count: 1 <= count <= 10_000)]
 LARGEST_EXPONENT = 60.0
-LARGEST_DEGREE = 6
 
 
-@typed_methods
+@typed
 @dataclass(frozen=True, eq=False)
 class ThicknessField:
     """A polynomial thickness of a sheet, positive everywhere and one at the centre.
@@ -43,15 +34,12 @@ class ThicknessField:
     for another degree, or numbers of another count.
     """
 
-    degree: int
+    degree: Annotated[int, Bound("a whole number from 1 to 6", range(1, 7).__contains__)]
     centre: np.ndarray
     half: np.ndarray
     numbers: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        hold(self, degree=check_whole("degree", self.degree, 1))
-        if self.degree > LARGEST_DEGREE:
-            raise InputError(f"degree: expected 1 to {LARGEST_DEGREE}, got {self.degree}")
         if not checked("numbers", self.numbers).size:
             hold(self, numbers=np.zeros(len(self.names)))
         for name, count in (("centre", 2), ("half", 2), ("numbers", len(self.names))):
