@@ -18,7 +18,7 @@ from warp_peri.fracture.adjoint import bond_force
 from warp_peri.fracture.body import lattice_body
 from warp_peri.fracture.bonds import bond_matrix, bonds_of, dilatations
 from warp_peri.fracture.statics import INDEFINITE
-from warp_peri.materials.lps import ALPHA_BOUND, LPSMaterial, Modulus, bernstein_basis
+from warp_peri.materials.lps import LPSMaterial, Modulus, bernstein_basis, check_influence
 from warp_peri.points.arguments import (
     USUAL,
     ArrayMap,
@@ -28,11 +28,10 @@ from warp_peri.points.arguments import (
     checked,
     checked_fields,
     mean_inverse,
-    plain,
 )
 from warp_peri.points.families import families_of
 from warp_peri.points.points import PointsLike, nearest, nodes_of
-from warp_peri.protocols import OperatorBase
+from warp_peri.protocols import OperatorBase, renumbered
 from warp_peri.solvers.adjoint import stepped
 from warp_peri.solvers.solution import Direct, Solution, Solver, refuse_solver
 from warp_peri.solvers.systems import MatrixProblem, definite_factors
@@ -51,13 +50,12 @@ class FlowOperator(OperatorBase):
 
     def force(self, u: np.ndarray) -> np.ndarray:
         """Force L u on the interior, [..., I, …], of u [..., N, …]; InputError for other shapes."""
-        self.check(u := plain("u", u))
-        lead, flat = self._flat(u)
+        lead, flat = self._flat(self.as_fields(u))
         return np.asarray((flat @ self.matrix.T).reshape(*lead, -1, *self.shape[1:]))
 
     def vjp(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
         """Transposed product Lᵗ w on all nodes, [..., N, …], of w on the interior, [..., I, …]."""
-        lead, flat = self._flat(self.of_interior(w))
+        lead, flat = self._flat(self.of_interior(w, u))
         return np.asarray((flat @ self.matrix).reshape(*lead, *self.shape))
 
     def _flat(self, fields: np.ndarray) -> tuple[Shape, np.ndarray]:
@@ -193,13 +191,14 @@ class DiffusionOperator(FlowOperator):
 
     def at(self, numbers: Numbers) -> DiffusionOperator:
         """Operator with other parameters; InputError for κ not > 0."""
-        law = replace(self.model, alpha=float(numbers["alpha"]), D=numbers["D"])
-        return DiffusionOperator(law, self.points, kappa=numbers.get("kappa", self.given))
+        own = renumbered(self.learnable, numbers)
+        kappa = own.pop("kappa", self.given)
+        return DiffusionOperator(replace(self.model, **own), self.points, kappa=kappa)
 
     @own_torch()
     def by_numbers(self, name: str, u: np.ndarray, w: np.ndarray) -> np.ndarray:
         """Derivative of Σ w · L φ by one parameter, of fields [K, N] and weights [K, I]."""
-        near, far = self._ends
+        (near, far), (u, w) = self._ends, self.pairs(u, w)
         work = ((u[:, near] - u[:, far]) * w[:, self._owner[self._kept]]).sum(axis=0)
         numbers = _tensors(self.learnable)
         strengths, work = self._strengths(**numbers), torch.from_numpy(work)
@@ -251,10 +250,7 @@ class DiffusionMaterial(Record, format="warp_peri.conductor"):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.alpha < ALPHA_BOUND:
-            raise InputError(f"alpha: expected less than {ALPHA_BOUND:g}, got {self.alpha}")
-        if self.D.ndim != 1 or not self.D.any():
-            raise InputError("D: expected finite coefficients, one of them other than 0")
+        check_influence(self.alpha, self.D)
 
     def on(self, points: PointsLike, *, kappa: Modulus | None = None) -> DiffusionOperator:
         """Operator on points; `kappa` as of DiffusionOperator."""
@@ -300,9 +296,10 @@ class ThermoelasticMaterial(Record, format="warp_peri.coupled_solid"):
         return self.model.units
 
     def with_parameters(self, numbers: Numbers) -> ThermoelasticMaterial:
-        """Material with other parameters of the solid, and another coupling."""
-        model = self.model.with_parameters({name: numbers[name] for name in self.model.learnable})
-        return replace(self, model=model, coupling=float(numbers["coupling"]))
+        """Material with other parameters of the solid or coupling; a conductor's are left out."""
+        mine = {n: value for n, value in numbers.items() if not n.startswith(OF_CONDUCTOR)}
+        own = renumbered(self.model.learnable | {"coupling": self.coupling}, mine)
+        return replace(self, coupling=own.pop("coupling"), model=self.model.with_parameters(own))
 
     def on(self, points: PointsLike, *, kappa: Modulus | None = None) -> CoupledOperator:
         """Operator on a lattice; `kappa` as of DiffusionOperator."""
@@ -374,8 +371,9 @@ class CoupledOperator(FlowOperator):
 
     def at(self, numbers: Numbers) -> CoupledOperator:
         """Operator with other parameters; InputError as the class, and for κ not > 0."""
-        diffusion = self.diffusion.at(self._of_conductor(numbers))
-        material = replace(self.model.with_parameters(numbers), conductor=diffusion.model)
+        own = renumbered(self.learnable, numbers)
+        diffusion = self.diffusion.at(self._of_conductor(own))
+        material = replace(self.model.with_parameters(own), conductor=diffusion.model)
         return CoupledOperator(material, self.points, kappa=diffusion.given)
 
     def force_with_parameters(self, u: Any, numbers: Any) -> Any:

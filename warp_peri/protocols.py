@@ -19,10 +19,14 @@ import numpy as np
 import warp_peri.core as core
 from warp_peri.errors import InputError, Shape, Values, quietly
 from warp_peri.points.arguments import (
+    Numbers,
     Options,
+    Pair,
     Units,
     check_arguments,
     check_flag,
+    check_mapping,
+    check_shape,
     checked,
     is_piece,
     is_tensor,
@@ -150,7 +154,7 @@ class OperatorBase(Remade):
     def jvp(self, u: Any, v: Any) -> np.ndarray:
         """Derivative of the force at u along v, [..., I, d]; the force of v if linear."""
         if u is not None:
-            self.check(plain("u", u))
+            self.as_fields(u)
         return self.force(v)
 
     def rhs(self, b: Any) -> np.ndarray:
@@ -194,21 +198,25 @@ class OperatorBase(Remade):
 
     def fields(self, u: Any) -> np.ndarray:
         """Convert u to fields of finite numbers, [S, N, d]."""
-        values = checked("u", u, float, (..., *self.shape))
-        self.check(values)
-        return values.reshape(-1, *self.shape)
+        return self.as_fields(checked("u", u)).reshape(-1, *self.shape)
+
+    def as_fields(self, u: Any) -> np.ndarray:
+        """Convert u to fields, [..., N, d], whose values may be anything; they may run away."""
+        self.check(values := plain("u", u))
+        return values
 
     def quadratic(self, u: Any) -> np.ndarray:
         """Energy h^d (½ u_I·L u_I + u_I·L u_C) of a linear force on a lattice, shape [...]."""
-        self.check(u := plain("u", u))
-        held, of = self.held, self.points
+        u, held, of = self.as_fields(u), self.held, self.points
         axes = tuple(range(-len(self.shape), 0))
         own, collar = (self.force(np.where(one, u, 0.0)) for one in (~held, held))
         inner = np.compress(of.interior, u, axes[0])
         return np.asarray(of.spacing**of.dimension * (inner * (own / 2 + collar)).sum(axis=axes))
 
-    def of_interior(self, w: Any) -> np.ndarray:
-        """Check w as fields on the interior nodes, [..., I, d]; InputError for another shape."""
+    def of_interior(self, w: Any, u: Any = None) -> np.ndarray:
+        """Check w on the interior nodes, [..., I, d], and a u on all; InputError for others."""
+        if u is not None:
+            self.as_fields(u)
         values, one = plain("w", w), (int(self.points.interior.sum()), *self.shape[1:])
         if values.shape[-len(one) :] != one or 0 in values.shape[: -len(one)]:
             raise InputError(
@@ -216,12 +224,30 @@ class OperatorBase(Remade):
             )
         return values
 
+    def pairs(self, u: Any, w: Any) -> Pair:
+        """Check as many fields u [S, N, d] as w on the interior, [S, I, d]."""
+        fields, w = self.as_fields(u).reshape(-1, *self.shape), self.of_interior(w)
+        weights = w.reshape(-1, *w.shape[-len(self.shape) :])
+        check_shape("w, on u", weights, (len(fields), *weights.shape[1:]))
+        return fields, weights
+
     def on_all(self, w: Any) -> np.ndarray:
         """Extend fields of the interior nodes [..., I, d] to all by zeros, [..., N, d]."""
         w, rest = self.of_interior(w), len(self.shape)
         fields = np.zeros((*np.shape(w)[:-rest], *self.shape))
         fields[(..., self.points.interior, *[slice(None)] * (rest - 1))] = w
         return fields
+
+
+def renumbered(own: Numbers, numbers: Numbers) -> Values:
+    """Learnable numbers of a material, others in the place of some; InputError for names that it
+    has not, and values that `plain` refuses. The material checks what they are."""
+    check_mapping("parameters", numbers)
+    for name, value in numbers.items():
+        if name not in own:
+            raise InputError(f"parameters: expected some of {', '.join(own)}, got {name}")
+        plain(name, value)
+    return {**own, **numbers}
 
 
 class Material(Protocol):

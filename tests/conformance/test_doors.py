@@ -78,7 +78,7 @@ def kinds(good, place=None):
     return wrong | {
         "truth values": good.astype(bool),
         "objects": good.astype(object),
-        "short": good[:-1] if good.ndim < 3 else good[0, :-1, :1],
+        "short": np.atleast_1d(good)[:-1] if good.ndim < 3 else good[0, :-1, :1],
         "flat": good.ravel() if good.ndim > 1 else good[None],
         "deep": good[None, None],
         "ragged": [[1.0, 2.0], [3.0]],
@@ -124,10 +124,11 @@ def test_fields_of_a_solve_a_motion_and_an_operator(name):
     columns = np.zeros(len(zero), [("x", float), ("y", float)])
     wrong = hidden, list(hidden), zero * 1j, zero.astype(str), zero.astype(object), columns
     vjp = lambda bad: op.vjp(zero, np.ma.asanyarray(bad)[points.interior])
+    inner, both = zero[points.interior], np.stack([zero, zero])
     reads = [op, op.rhs, op.stress, lambda bad: op.jvp(zero, bad), lambda bad: op.jvp(bad, zero)]
+    reads.append(lambda bad: op.vjp(bad, inner))
     for read in [*reads, vjp] + [op.energy] * (op.energy(zero) is not None):
         all_refused(read, "expected (float )?values", wrong)
-    inner, both = zero[points.interior], np.stack([zero, zero])
     all_refused(partial(op.vjp, zero), "expected ", (np.zeros(3), inner[:-1], inner[:, :1]))
     pairs = () if getattr(op, "is_linear", False) else ((zero, both), (both, zero))
     all_refused(op.jvp, "along u: expected shape", pairs)
@@ -213,20 +214,16 @@ def test_a_pressure_and_a_crack_that_cuts_nothing():
         wp.solve(solid().model, far)
 
 
-@parametrize("name", ["LPS", "crystal"])
-def test_parameters_are_real_numbers_of_the_shape_that_they_have(name):
-    op, points = placed(name, 1)
-    problem = wp.Dirichlet(points, None, 1e-4 * points.x)
+@parametrize("name", [n for n in (*LAWS, "conductor", "coupled", "cut") if n[:6] != "neural"])
+def test_numbers_are_real_and_of_their_names_and_shapes(name):
+    op, shapes = operator(name), ("flat", "deep")
+    solve_by = partial(op.solve_torch, *np.zeros((2, *op.shape)), None)
     for which, own in op.learnable.items():
         own = np.asarray(own, float)
-        wrong = {"complex": own + 0j, "truth": own.astype(bool), "text": own.astype(str)}
-        wrong |= {"nan": own * np.nan, "longer": np.append(own, 1.0)}
-        wrong |= {"turned": own.T.copy()} if own.T.shape != own.shape else {}
-        wrong |= {"tensor": torch.tensor(own + 0j), "bits": torch.tensor(own.astype(bool))}
-        for kind, bad in wrong.items():
-            with pytest.raises(wp.InputError) as told:
-                wp.solve(op, problem, parameters={which: bad})
-            assert str(told.value).startswith((which, "parameters")), kind
+        said = which, which.removeprefix("conductor_"), "parameters", "conductivity"
+        refuses(lambda bad, n=which: op.at({n: bad}), own, said, but=("short", *shapes))
+        refuses(lambda bad, n=which: solve_by({n: bad}), own, said, but=shapes * (not own.ndim))
+    all_refused(op.at, "^(parameters|numbers): expected", ({"foo": 1.0}, 3))
 
 
 def test_options_of_a_solve_and_a_motion():
@@ -354,11 +351,10 @@ def test_arguments_of_bodies_solids_and_tables():
         "^horizons: expected": lambda: sweep(*2 * [sets["train"]], "none", horizons=("2",)),
         "^shortest wave: expected": lambda: wp.prediction.mixed_waves(points.x, (9, 9), 1e-3),
         "^spacing: expected": lambda: LAWS["third order, energy"].material().proven_strain(-5),
-        "^parameters: expected finite .* mu .*nan":
-            lambda: solve(op, points, None, points.x, parameters={"mu": np.nan}),
         "^free: expected": lambda: wp.solve(MODEL, held),
-        "^k: expected": tuple(
-            lambda k=k: crystal.symbol(k) for k in ([1j, 0], hidden[:2], np.zeros(3), 1.0)
+        "^k: expected": (
+            *(lambda k=k: crystal.symbol(k) for k in ([1j, 0], hidden[:2], np.zeros(3), 1.0)),
+            *(lambda k=k: wp.methods.Smoothing().root(k) for k in (True, np.nan, hidden)),
         ),
         "^u: expected": (
             lambda: solve(op, points, None, [[1.0], [1.0, 2.0]]),
@@ -378,7 +374,6 @@ def test_arguments_of_bodies_solids_and_tables():
         "^length: expected": lambda: DICFrame(points.x, points.x, "a", [1]),
         "^count: expected": lambda: wp.runtime.set_num_threads(10**400),
         "^force: expected": lambda: wp.fracture.point_force(np.eye(2), 1.0, (0, 0), hidden[:2]),
-        "^w: expected": lambda: op.vjp(0 * points.x, 0 * points.x),
         "^values: expected": lambda: gather(points, points.x[1:]),
         "^provenance: expected": (lambda: data(np.nan), lambda: data(object())),
     })  # fmt: skip
@@ -423,6 +418,8 @@ def test_tensors_beside_a_pressure_and_numbers_of_no_dimension():
     model, how = kernel("positive", 2.0), {"density": torch.tensor(2.0), "steps": np.float64(1)}
     run = wp.simulate(model, wp.Dirichlet(points, None, u), step=torch.tensor(1e-9), **how)
     assert run.u.shape == u.shape
+    assert replace(model, certified_on=torch.tensor([5.0])).certified_on == (5.0,)
+    assert wp.mpi.lattice((4, 4), torch.tensor(1.0), lambda x: x[:, 0] > 1).spacing == 1
     turned = np.ascontiguousarray(u[::-1])[::-1]
     mu = {"mu": torch.tensor(model.mu, requires_grad=True)}
     assert solve(model, points, 0 * turned, turned, parameters=mu).requires_grad

@@ -149,8 +149,6 @@ def test_what_does_not_fit_is_refused():
         "finite values > 0, got -1": lambda: law.on(points, kappa=-1.0),
         "finite values > 0, got -": lambda: law.on(points, kappa=lambda x: x[..., 0]),
         "conductivity: expected a number > 0": lambda: DiffusionMaterial(0.8, conductivity=-1.0),
-        "alpha: expected less than 3": lambda: DiffusionMaterial(0.8, 1.0, alpha=3.0),
-        "coupling": lambda: ThermoelasticMaterial(SOLID, law, np.nan, 1.0),
         "storage": lambda: ThermoelasticMaterial(SOLID, law, 1.0, -1.0),
         "units: the model is in":
             (lambda: ThermoelasticMaterial(SOLID, metres, 1.0, 1.0), lambda: metres.on(points)),

@@ -211,8 +211,6 @@ def test_other_weights_stay_those_of_a_solve_with_other_numbers():
         expected = other.on(points, quadrature_degree=degree).solve(b, 0 * b)
         assert error(np.asarray(found.u), expected.u) < 1e-9
         assert operator.proven is None
-    with refused("parameters: expected values by name"):
-        operator.solve(b, 0 * b, parameters=LPSParameters(**model.learnable))
 
 
 def test_every_force_is_that_of_lammps_with_its_volumes():

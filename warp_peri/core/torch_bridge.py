@@ -175,16 +175,16 @@ def with_numbers(operator: Any, numbers: Numbers) -> tuple[Any, dict[str, torch.
     check_mapping("parameters", numbers)
     known = getattr(operator, "learnable", {}) if hasattr(operator, "at") else {}
     given = {name: real(name, value) for name, value in numbers.items()}
-    values = {name: value.detach().numpy() for name, value in given.items()}
-    for name, value in values.items():
-        own = known.get(name, ())
+    values = Values()
+    for name, tensor in given.items():
+        value, own = tensor.detach().numpy(), known.get(name, ())
         fits = value.shape == np.shape(own) or value.size == np.size(own) == 1  # a number, as [1]
         if name not in known or not fits or not np.isfinite(value).all():
             got = f"{name} {list(value.shape)}: {value!r:.60}"
             names = ", ".join(f"{n} {list(np.shape(own))}" for n, own in known.items())
             names = names or getattr(operator, "unlearned", "none")
             raise InputError(f"parameters: expected finite numbers among {names}, got {got}")
-    values = {name: value.reshape(np.shape(known[name])) for name, value in values.items()}
+        values[name] = value.reshape(np.shape(own))
     same = all(np.array_equal(value, known[name]) for name, value in values.items())
     return operator if same else operator.at(known | values), given
 
@@ -382,9 +382,8 @@ class Swept(OperatorBase):
 
     def _swept(self, sweep: Any, *fields: ArrayLike, total: bool = False) -> np.ndarray:
         """Results of a sweep over fields [S, N, d], a few at once, in their leading shape."""
-        given = [plain("u", field) for field in fields]
+        given = [self.as_fields(field) for field in fields]
         for each in given:
-            self.check(each)
             check_shape("v or w, along u", each, given[0].shape)
         flat = [each.reshape(-1, *self.shape) for each in given]
         step, count = max(1, MOST // self.size), len(flat[0])

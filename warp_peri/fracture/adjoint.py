@@ -25,6 +25,7 @@ from warp_peri.fracture.statics import check_no_fail, check_pieces, strain_of
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_stages import class_weights
 from warp_peri.points.arguments import NotNegative, Numbers, checked, is_tensor
+from warp_peri.protocols import renumbered
 from warp_peri.solvers.adjoint import in_motion as in_motion
 from warp_peri.solvers.motion import Motion
 from warp_peri.solvers.systems import definite_factors, symmetric_factors
@@ -240,7 +241,7 @@ class SoftBody:
     def at(self, numbers: Numbers) -> SoftBody:
         """Body with other parameters of its law."""
         soft = copy(self)
-        soft.law = BondLaw(**{name: float(value) for name, value in numbers.items()})
+        soft.law = BondLaw(**renumbered(self.learnable, numbers))
         return soft
 
     def _learned(self, u: Any, parameters: Numbers | None) -> tuple[Any, ...]:

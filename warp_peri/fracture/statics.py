@@ -147,7 +147,7 @@ class CutSolid(OperatorBase):
 
     def vjp(self, u: Any, w: np.ndarray) -> np.ndarray:
         """Transposed product L w, of w on nodes not held [..., I, d], on all nodes [..., N, d]."""
-        fields = self.on_all(w)
+        fields = self.on_all(self.of_interior(w, u))
         return self.times(fields.reshape(-1, *self.shape)).reshape(fields.shape)
 
     def solve(self, b: Any, u: Any, solver: Solver = None) -> Solution:

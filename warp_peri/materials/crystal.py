@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Self
@@ -29,9 +28,9 @@ from warp_peri.core.stencil import Stencil, elastic_from_brackets
 from warp_peri.errors import Arrays, InputError, Rows, Values, hold, warn
 from warp_peri.fitting.regression import norms
 from warp_peri.points import arguments
-from warp_peri.points.arguments import USUAL, Units, checked, plain, shown_moduli, symbols, typed
+from warp_peri.points.arguments import USUAL, Units, checked, shown_moduli, symbols, typed
 from warp_peri.points.points import Points, Samples, unsaid
-from warp_peri.protocols import OperatorBase
+from warp_peri.protocols import OperatorBase, renumbered
 from warp_peri.solvers.linear import Inverse, Linear
 from warp_peri.solvers.solution import CG, Solution, Solver, by_sample, refuse_solver
 
@@ -74,8 +73,8 @@ class TensorOperator(OperatorBase):
         return self.solve(b, np.zeros(np.shape(b)), solver)
 
     def vjp(self, u: ArrayLike, w: ArrayLike) -> np.ndarray:
-        """Transposed product Lᵗ w on all nodes, [..., N, d], for w on the interior, whatever u."""
-        w = self.of_interior(w)
+        """Transposed product Lᵗ w on all nodes, [..., N, d], for w on the interior, at any u."""
+        w = self.of_interior(w, u)
         pushed = [self.linear.push(one) for one in w.reshape(-1, *w.shape[-2:])]
         return np.reshape(pushed, (*w.shape[:-2], *self.shape))
 
@@ -84,17 +83,17 @@ class TensorOperator(OperatorBase):
         """Tensors C(ξ) of half of the bonds [stress/length²], [H, d, d], along the nodes' axes."""
         return {"tensors": self.tensors}
 
-    def at(self, numbers: Mapping[str, ArrayLike]) -> TensorOperator:
+    def at(self, numbers: arguments.Numbers) -> TensorOperator:
         """The operator with other symmetric tensors; nothing is proven of it yet."""
-        law, C = self.model, np.asarray(numbers["tensors"], float)
-        held = law.stress if isinstance(law, CrystalMaterial) else None
+        law, C = self.model, renumbered(self.learnable, numbers)["tensors"]
+        held = getattr(law, "stress", None)
         law = CrystalMaterial(self.spacing, self.steps, C, law.units, stress=held)
         return TensorOperator(law, self.points, dtype=self.dtype)
 
     def by_numbers(self, name: str, u: ArrayLike, w: ArrayLike) -> np.ndarray:
         """Derivatives of Σ w · L u with respect to the tensors, for u [K, N, d] and w [K, I, d]."""
         A = self.nodes.axes
-        fields, weights = self.fields(u) @ A, plain("w", w) @ A
+        fields, weights = (one @ A for one in self.pairs(u, w))
         both = 2 * fields[:, self.ends[0]]
         found = np.array([
             np.einsum("sni,snj->ij", weights, both - fields[:, ahead] - fields[:, behind])
@@ -117,7 +116,7 @@ class TensorOperator(OperatorBase):
         collar, d = ~self.points.interior, self.nodes.dimension
         ones = np.repeat(np.eye(d)[:, None], self.points.interior.sum(), axis=1)
         ends = -self.vjp(u, ones)[:, collar]  # Σ C(ξ) over unknowns, [d, N − I, d]
-        own, given = self.quadratic(u), plain("u", u)[..., collar, :]
+        own, given = self.quadratic(u), self.as_fields(u)[..., collar, :]
         bent = np.einsum("...na,ank,...nk->...", given, ends, given, optimize=True)
         return np.asarray(own + self.spacing**d / 2 * bent)[()]
 

@@ -25,7 +25,6 @@ from warp_peri.points.arguments import (
     Pair,
     Positive,
     Units,
-    as_array,
     checked,
     factors,
     is_number,
@@ -37,6 +36,7 @@ from warp_peri.points.arguments import (
 )
 from warp_peri.points.families import DEGREE, SINGULARITY, BondClasses, bond_classes
 from warp_peri.points.points import Points, PointsLike, check_dimensions, grid_places
+from warp_peri.protocols import renumbered
 
 ALPHA_BOUND = 3.0
 """The quadrature is consistent for α below this (You et al. 2021, remark 1)."""
@@ -71,6 +71,8 @@ def check_influence(alpha: float, D: np.ndarray) -> None:
     most = LARGEST_DEGREE + 1
     if not 0 < len(D) <= most:
         raise InputError(f"D: expected at least one coefficient, at most {most}, got {len(D)}")
+    if not D.any():
+        raise InputError("D: expected a coefficient other than 0")
     if not alpha < ALPHA_BOUND:
         raise InputError(f"alpha: expected less than {ALPHA_BOUND:g}, got {alpha}")
 
@@ -153,8 +155,6 @@ class LPSMaterial(Record, format="warp_peri.model"):
         super().__post_init__()
         check_dimensions("dimension", self.dimension)
         check_influence(self.alpha, self.D)
-        if not np.any(self.D):
-            raise InputError("D: expected a coefficient other than 0")
         d, N = self.dimension, 0
         if self.nodes is not None:
             N = len(checked("nodes", self.nodes, float, ("N", d)))
@@ -226,8 +226,8 @@ class LPSMaterial(Record, format="warp_peri.model"):
 
     def with_parameters(self, numbers: Numbers, nodes: np.ndarray | None = None) -> LPSMaterial:
         """The unproven material with other `learnable` numbers, fields for some nodes [N, d]."""
-        made = self.learnable | dict(numbers)
-        fields = any(as_array(name, made[name]).ndim for name in ("lam", "mu"))
+        made = renumbered(self.learnable, numbers)
+        fields = any(np.ndim(made[name]) for name in ("lam", "mu"))
         of = (self.nodes if nodes is None else nodes) if fields else None
         return replace(self, **made, nodes=of, certified_on=(), certificate={}, errors={})
 

@@ -20,7 +20,7 @@ from warp_peri.core.elastic import in_shape_of, symmetric_part
 from warp_peri.core.proof import largest
 from warp_peri.errors import InputError, Values, warn
 from warp_peri.materials.lps_force import Bonds, Law, Matrices, assemble, bonds_of
-from warp_peri.points.arguments import check_shape, checked, checked_fields, is_tensor, plain
+from warp_peri.points.arguments import check_shape, checked, checked_fields, is_tensor
 from warp_peri.points.families import DEGREE, families_of, largest_strain
 from warp_peri.points.points import PointsLike, nodes_of
 from warp_peri.protocols import OperatorBase
@@ -106,14 +106,13 @@ class LPSOperator(OperatorBase):
 
     def force(self, u: ArrayLike) -> np.ndarray:
         """Force L u on the interior nodes, shape [..., I, d]; InputError for another shape."""
-        field = np.require(plain("u", u), float, ["C", "W"])
-        self.check(field)
+        field = np.require(self.as_fields(u), float, ["C", "W"])
         Lu = self._law.force(field.reshape(-1, self.points.x.size))[0]
         return Lu.reshape(*field.shape[:-2], -1, field.shape[-1])
 
     def vjp(self, u: Any, w: ArrayLike) -> np.ndarray:
-        """Transposed product Lᵗ w on all nodes, [..., N, d], for w [..., I, d], whatever u."""
-        w = np.require(self.of_interior(w), float, ["C", "W"])
+        """Transposed product Lᵗ w on all nodes, [..., N, d], for w [..., I, d], at any u."""
+        w = np.require(self.of_interior(w, u), float, ["C", "W"])
         by_u = self._law.transposed(w.reshape(-1, w.shape[-2] * w.shape[-1]))[0]
         return by_u.reshape(*w.shape[:-2], *self.shape)
 
@@ -233,7 +232,7 @@ class LPSOperator(OperatorBase):
 
     def stress(self, u: np.ndarray) -> np.ndarray | None:
         """Stress σ [TPa] at the interior nodes, [..., I, d, d]."""
-        return in_shape_of(u, node_fields(self.model, self.points, self.fields(u)).stress)
+        return in_shape_of(u, node_fields(self.model, self.points, u).stress)
 
     def max_symbol_eigenvalue(self) -> float:
         """Upper bound of L's eigenvalues [stress/length²] on a lattice, for time steps; of fields
@@ -420,10 +419,10 @@ def node_fields(model: LPSMaterial, points: PointsLike, u: ArrayLike) -> NodeFie
     """
     if (given := nodes_of(points)).outside is not None:
         raise InputError("outside: expected none, for stress needs complete families")
-    bonds = bonds_of(model, LPSOperator(model, points).nodes)  # which refuses others than fields'
+    operator = LPSOperator(model, points)  # which refuses others than fields'
+    bonds, u = bonds_of(model, operator.nodes), operator.fields(u)
     law = bonds.law(*model.learnable.values())
     nodes, d, inside = bonds.nodes, bonds.dimension, np.flatnonzero(given.interior)
-    u = checked("u", u, float, (..., nodes, d)).reshape(-1, nodes, d)
     mine = given.interior[bonds.listing[0]]
     owner, far, xi, kind = (one[mine] for one in bonds.listing)
     lam, mu, m = (np.broadcast_to(one, nodes)[inside] for one in (model.lam, model.mu, law.m))

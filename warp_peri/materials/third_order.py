@@ -38,6 +38,7 @@ from warp_peri.points.arguments import ArrayMap, NotNegative, Numbers, Pair, Pos
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.points import PointsLike, Samples, axis_of, nodes_of
+from warp_peri.protocols import renumbered
 from warp_peri.solvers.equilibria import SOLVES, equilibria_of
 from warp_peri.solvers.linear import Inverse
 from warp_peri.solvers.solution import Solution, Solver
@@ -79,7 +80,7 @@ class Smoothing:
         node, weight = np.polynomial.legendre.leggauss(200)
         r = (node + 1) * self.radius / 2
         part = weight * (self.radius - r) * r
-        return np.asarray(j0(np.multiply.outer(k, r)) @ part / part.sum())
+        return np.asarray(j0(np.multiply.outer(arguments.checked("k", k), r)) @ part / part.sum())
 
     def inverse(self, k: np.ndarray) -> np.ndarray:
         """Wiener inverse (1 + ρ) ω̂/(ω̂² + ρ) at wave numbers k [1/Å]."""
@@ -322,7 +323,7 @@ class PlacedThirdOrder(Pointwise):
 
     def at(self, numbers: Numbers) -> PlacedThirdOrder:
         """The operator with other constants, of which nothing is proven."""
-        own: Any = {name: float(value) for name, value in numbers.items()}
+        own = renumbered(self.learnable, numbers)
         return PlacedThirdOrder(replace(self.model, **own, proven={}), self.points)
 
     def energy(self, u: ArrayLike) -> np.ndarray | None:

@@ -17,7 +17,7 @@ import torch
 
 from warp_peri.core import record
 from warp_peri.core.record import Length
-from warp_peri.errors import Arrays, InputError, Rows, Shape, Shown, StrPath, Values
+from warp_peri.errors import InputError, Rows, Shape, Shown, StrPath, Values
 from warp_peri.files import atomic
 from warp_peri.neural.placed import Placed, check_precision
 from warp_peri.neural.training import NeuralFit, TrainingSettings, train
@@ -28,6 +28,7 @@ from warp_peri.points.arguments import (
     Units,
     check_same,
     check_units,
+    checked,
     factors,
     is_positive,
     symbols,
@@ -149,7 +150,8 @@ class NeuralOperator(Shown, torch.nn.Module):
             raise InputError(f"{path}: expected a name that ends in .json")
         said = self.content()
         weights = {key: part.numpy() for key, part in self.state_dict().items()}
-        _check_finite(weights)
+        for key, part in weights.items():
+            checked(key, part)
         if (size := sum(part.nbytes for part in weights.values())) > FITS:
             raise InputError(f"{path}: expected at most {FITS} bytes of weights, got {size}")
         kind = next(iter(weights.values())).dtype.name
@@ -252,14 +254,9 @@ class NeuralFile(record.Record, format="warp_peri.neural", version=2):
             }
         except (KeyError, TypeError, ValueError, OSError, AttributeError) as error:
             raise InputError(f"not a readable neural operator ({error!r:.400})") from None
-        _check_finite(weights)
+        for key, part in weights.items():
+            checked(key, part)
         material = make() if self.precision == "float32" else make().double()
         material.scale, material.provenance = self.scale, self.provenance
         material.load_state_dict({k: torch.as_tensor(v.astype(float)) for k, v in weights.items()})
         return material
-
-
-def _check_finite(weights: Arrays) -> None:
-    for key, part in weights.items():
-        if not np.isfinite(part).all():
-            raise InputError(f"{key}: expected finite numbers")

@@ -18,7 +18,7 @@ from warp_peri.core.torch_bridge import on_fields
 from warp_peri.errors import InputError, Values
 from warp_peri.fitting.evaluate import errors_of
 from warp_peri.fitting.regression import norms
-from warp_peri.points.arguments import check_shape, plain, typed
+from warp_peri.points.arguments import check_shape, typed
 from warp_peri.points.dataset import warn_of_unseen
 from warp_peri.points.families import families_of
 from warp_peri.points.points import PointsLike, Samples, nodes_of
@@ -172,12 +172,10 @@ class Placed(OperatorBase):
             return super().force_torch(u)
         return on_fields(self, u, lambda f: self.force_of(*self.tension(f.to(self.dtype))))
 
+    @torch.no_grad()
     def force(self, u: Any) -> np.ndarray:
         """Forces on the interior, shape [..., I, 2], (NO6)."""
-        fields = self._taken(u)
-        with torch.no_grad():
-            force = self.force_of(*self.tension(fields))
-        return in_shape_of(u, force.double().numpy())
+        return in_shape_of(u, self.force_of(*self.tension(self._taken(u))).double().numpy())
 
     def jvp(self, u: Any, v: Any) -> np.ndarray:
         """Derivative of the force at u along v, both [N, 2] or [S, N, 2]."""
@@ -188,9 +186,8 @@ class Placed(OperatorBase):
 
     def vjp(self, u: Any, w: Any) -> np.ndarray:
         """Transposed derivative of the force at u times w [..., I, 2], on all nodes [..., N, 2]."""
-        fields, along = self._taken(u), self.of_interior(w).reshape(-1, len(self.own), 2)
-        check_shape("w, on u", along, (len(fields), *along.shape[1:]))
-        found = [self.tangent(field).T @ one.ravel() for field, one in zip(fields, along)]
+        pairs = zip(*self.pairs(u, w))
+        found = [self.tangent(field).T @ one.ravel() for field, one in pairs]
         return np.reshape(found, np.shape(u))
 
     def interior_tangent(self, u: np.ndarray) -> sp.csc_array:
@@ -227,12 +224,11 @@ class Placed(OperatorBase):
         J = J + _differences(turning, self.ends[own], self.whole[own], len(x))
         return sp.csr_array(-(self.points.spacing**2) * J)
 
+    @torch.no_grad()
     def stress(self, u: Any) -> np.ndarray:
         """First Piola–Kirchhoff stress at interior nodes, [..., I, 2, 2], ½ Σ t M ⊗ ξ (NO13)."""
-        fields = self._taken(u)
-        with torch.no_grad():
-            pull = self._pull(*self.tension(fields))
-            stress = torch.einsum("sibx,by->sixy", pull, torch.as_tensor(self.xi, dtype=pull.dtype))
+        pull = self._pull(*self.tension(self._taken(u)))
+        stress = torch.einsum("sibx,by->sixy", pull, torch.as_tensor(self.xi, dtype=pull.dtype))
         return in_shape_of(u, self.points.spacing**2 / 2 * stress.double().numpy())
 
     def tension(self, u: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -278,8 +274,8 @@ class Placed(OperatorBase):
 
     def _taken(self, u: Any) -> torch.Tensor:
         """Convert fields to [S, N, 2] in the material's precision; InputError for other shapes."""
-        self.check(u := plain("u", u))
-        return torch.as_tensor(np.ascontiguousarray(u.reshape(-1, *self.shape)), dtype=self.dtype)
+        fields = np.ascontiguousarray(self.as_fields(u).reshape(-1, *self.shape))
+        return torch.as_tensor(fields, dtype=self.dtype)
 
 
 def _differences(blocks: np.ndarray, ends: np.ndarray, own: np.ndarray, count: int) -> sp.bsr_array:

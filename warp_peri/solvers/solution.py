@@ -266,12 +266,10 @@ BEYOND = 2.0
 
 def warn_beyond(model: Any, strain: Callable[[], float]) -> None:
     """Warn when a solution is strained far beyond the training data; `strain` computes it."""
-    if model.trained_strain is None:
-        return
-    largest = strain()
-    if largest > BEYOND * model.trained_strain:
+    known = model.trained_strain
+    if known is not None and (largest := strain()) > BEYOND * known:
         warn(
             f"strain: the solution reaches {100 * largest:.2g} %, the training data "
-            f"{100 * model.trained_strain:.2g} %: the model is linear and knows nothing of what "
+            f"{100 * known:.2g} %: the model is linear and knows nothing of what "
             "comes beyond"
         )

@@ -29,6 +29,7 @@ from warp_peri.points import arguments
 from warp_peri.points.arguments import USUAL, Numbers, Units, checked, plain, shown_moduli, symbols
 from warp_peri.points.dataset import seen_of, warn_of_unseen
 from warp_peri.points.points import PointsLike, Samples
+from warp_peri.protocols import renumbered
 from warp_peri.runtime import one_thread
 from warp_peri.solvers.equilibria import Descent, Inner, equilibria_of
 from warp_peri.solvers.solution import TOLERANCE, Solution, Solver
@@ -353,12 +354,13 @@ class HyperelasticSheetOperator(Swept):
 
     def at(self, numbers: Numbers) -> HyperelasticSheetOperator:
         """The operator with other coefficients, on the same lattice."""
-        model = replace(self.model, coefficients=numbers["coefficients"], provenance={})
-        return self.changed(model, self.thickness)
+        made = renumbered(self.learnable, numbers)
+        return self.changed(replace(self.model, **made, provenance={}), self.thickness)
 
     def by_numbers(self, name: str, u: np.ndarray, w: np.ndarray) -> np.ndarray:
         """Derivatives of Σ w · force(u) by the coefficients [K], for fields [S, N, 2]."""
-        return np.tensordot(w, self.features(u), w.ndim)
+        u, w = self.pairs(u, w)
+        return np.tensordot(w, self.features(u), 3)
 
     def stress(self, u: ArrayLike) -> np.ndarray:
         """First Piola stress P = ½ Σ t (ξ + η)⊗ξ of a node's bonds, (H16), shape [..., I, 2, 2], of
