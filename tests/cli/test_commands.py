@@ -128,7 +128,7 @@ def test_certify_evaluate_solve_and_info(fitted, data, tmp_path, capsys):
     assert answer(capsys, "info", data)["sets"]["noise"]["samples"] == 8
 
 
-def test_help_is_a_sentence_an_example_and_phrases_in_groups():
+def test_help_is_a_sentence_an_example_and_phrases_in_groups(capsys):
     for name in COMMANDS:
         parser = parser_of(name)
         assert parser.description.count(".") == parser.description.endswith(".") == 1
@@ -140,9 +140,6 @@ def test_help_is_a_sentence_an_example_and_phrases_in_groups():
             assert len(action.help.split()) >= 2, action.dest
             if action.nargs != 0 and not action.required and action.dest != "data":
                 assert "default" in action.help or action.default == [], action.dest
-
-
-def test_the_command_has_a_version(capsys):
     with pytest.raises(SystemExit, match="^0$"):
         main(["--version"])
     assert capsys.readouterr().out == f"warp_peri {wp.__version__}\n"
@@ -208,6 +205,7 @@ def test_dumps_become_sets_of_one_file(sheet, tmp_path, capsys):
     save_dataset(out, data)
     assert_allclose(data["train"].u, np.broadcast_to([0.3, -0.1], (1, 441, 2)), atol=1e-9)
     assert_allclose(data["train"].b, data["b.c"].b)
+    assert data.provenance["smoothing"]["radius"] == 6
     assert_allclose(data["train"].x.mean(axis=0), [20, 20])
     said = refused(capsys, *words, "--thickness", "1")
     assert "has 3.1 Å, got 1 Å; in Python wp.load(path).of_sheet(thickness=1)" in said
@@ -223,6 +221,11 @@ def test_a_typed_box_is_rounded_and_a_radius_fits(sheet, tmp_path, capsys):
     b = load_dataset(tmp_path / "own.h5")["train"].b
     answer(capsys, *words, "--box", "40.02", "39.98")
     assert_array_equal(load_dataset(tmp_path / "own.h5")["train"].b, b)
+    rest = (dump := tmp_path / "l.dump").read_text()
+    dump.write_text(rest.replace("\n7 1 ", "\n7 2 "))
+    for more in (words, [*words, "--mass", 1]):
+        assert main([*map(str, more), "--box", "40", "40"]) == 0
+        assert ("atoms of several types" in capsys.readouterr().err) == (more is words)
     for more, said in (
         ("--box 40 40.2", "expected the header's 40 x 40 Å, got 40 x 40.2 Å"),
         ("--box 40 40 --radius 1e9", "at most 20 Å, half the smallest period, got"),
@@ -345,6 +348,10 @@ def test_a_folder_is_written_again_by_the_same_settings_alone(name, tmp_path, ca
             (tmp_path / f"{name}.txt").write_text("\n".join([MADE, *words, *lines]))
             said = refused(capsys, name, *words, *more.split())
             assert (f"{mine}: is there already" not in said) == bool(lines in cases[:2] or more)
+        (tmp_path / f"{name}.txt").write_text("\n".join([MADE, *words, *begun]))
+        (other := tmp_path / "other.txt").write_text("\n".join([MADE, *same]))  # wrote it meanwhile
+        assert f"{mine}: is there already" in refused(capsys, name, *words)
+        other.unlink()
         given.overwrite, kept = True, results(given)[0]
         for anew, told in ((True, contextlib.nullcontext()), (False, warned("an earlier run"))):
             kept.write_text("\n".join([MADE, *words, *same]))
@@ -353,6 +360,11 @@ def test_a_folder_is_written_again_by_the_same_settings_alone(name, tmp_path, ca
                 if anew:
                     write_text(mine, "new")
             assert (f"  {one}" in kept.read_text()) == anew
+        kept.unlink()
+        with contextlib.suppress(KeyboardInterrupt), writing(given) as begin:
+            begin()
+            raise KeyboardInterrupt
+        assert not kept.exists()  # nothing was written
         mine.unlink()
 
 
@@ -393,16 +405,18 @@ def test_every_law_is_fitted_at_the_shell(kind, tmp_path, capsys):
     C = crystals.cubic_tensor(2)
     C[1, 1, 1, 1] *= 1.3
     law = fit_dispersion(crystals.dispersive(C), 1.5, 3.0, symmetry="2mm", tensor=C)
+    smoothing = {"radius": 1.9 * law.spacing}
     points = crystals.lattice(2, 14, 8, law.spacing)
     fields = {"train": smooth(points.x, 8, 0, 0.25), "val": smooth(points.x, 8, 1, 0.25)}
     sets = {name: loaded(law.on(points), 1e-3 * u) for name, u in fields.items()}
-    save_dataset(tmp_path / "crystal.h5", Dataset(sets, 3.35, 2200.0))
+    save_dataset(tmp_path / "crystal.h5", Dataset(sets, 3.35, 2200.0, {"smoothing": smoothing}))
     words = ["fit", tmp_path / "crystal.h5", "--out", tmp_path, "--horizon", law.horizon]
     words += ["--degree", 3] if kind == "lps" else ["--law", kind]
     found, kept = answer(capsys, *words), load(tmp_path / "model.json")
     names = {"lps": "LPS", "tensors": "Crystal", "third-order": "ThirdOrder"}
     assert type(kept).__name__ == names[kind] + "Material"
     assert set(found["E_u"]) == {"train", "val"}
+    assert kind != "third-order" or kept.smoothing.radius == 1.9 * law.spacing
     if kind == "lps":
         assert "anisotropy: " in found["residual"]["why"]
     if kind == "tensors":
@@ -438,5 +452,5 @@ def test_third_order_and_crystals_are_certified_on_their_lattices(tmp_path, caps
     proof = answer(capsys, "certify", file)["1 Å"]["nonlinear"]
     assert proof["strain"] == approx(model.proven_strain(1.0))
     wp.save(file, law := LAWS["crystal"].material())
-    assert main(["certify", str(file), "--spacing", str(3 * law.spacing)]) == 2
-    assert f"spacing: the model is for {law.spacing:g}, got" in capsys.readouterr().err
+    said = refused(capsys, "certify", file, "--spacing", 3 * law.spacing)
+    assert f"spacing: the model is for {law.spacing:g}, got" in said

@@ -412,7 +412,7 @@ def coarse_grain_dumps(
             subtracted: runs of one Langevin seed share most of their noise.
         skip: frames at the begin of each dump that are left out.
 
-    Warns of forces that are not shared among species as their masses are, and of torn sheets.
+    Warns of forces not shared among species by mass, types without masses, and torn sheets.
     Raises InputError as its parts do, and for forces or dumps that do not belong together.
     """
     if not len(dumps) or len(unloaded) not in (0, 1, len(dumps)):
@@ -429,7 +429,10 @@ def coarse_grain_dumps(
     fields["thickness"] = thickness
     coarse_grain(omega, displacement=0 * force, **fields)  # refuses before dumps are read
     _warn_of_shares(force, mass)
-    ids = next(iter_dump(dumps[0])).ids if atoms.ids is None else atoms.ids
+    first = next(iter_dump(dumps[0]))
+    if np.ndim(atoms.mass) == 0 and first.types is not None and np.ptp(first.types):
+        warn(f"mass: {dumps[0]} has atoms of several types, all taken as equal: give each its mass")
+    ids = first.ids if atoms.ids is None else atoms.ids
     averages = []
     for path in tqdm([*unloaded, *dumps], desc="dumps", unit="dump", disable=not progress):
         averages.append(mean_displacement(path, reference, ids=ids, box=atoms.box, skip=skip))

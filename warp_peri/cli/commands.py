@@ -115,9 +115,9 @@ def writing(given: Namespace) -> Iterator[Callable[[], None]]:
         said = lines_in(kept)
         try:
             yield lambda: keep(given, kept, BEGUN)
-        except InputError:
-            if said and states() == old:
-                write_text(kept, "\n".join(said))  # nothing was written
+        except BaseException:
+            if states() == old and lines_in(kept):  # nothing was written
+                write_text(kept, "\n".join(said)) if said else kept.unlink()
             raise
         made = states()
         for path in [path for path in made if old.get(path) == made[path]]:

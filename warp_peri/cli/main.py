@@ -58,9 +58,14 @@ def _run(words: Sequence[str]) -> int:
 SETTINGS = """\
 @FILE stands for the words in a file; commands that write results leave such a file with them, and
 options behind it win. --json prints one object for machines."""
+OUTPUT = """
+output
+  --overwrite  replace files that this command with these settings did not write
+"""
 COMMANDS: dict[str, str] = {}
 for _text in Path(__file__).with_name("commands.txt").read_text("utf-8").split("\n\n"):
-    _name, _, COMMANDS[_name.strip("[]")] = _text.partition("\n")
+    _name, _, _text = _text.replace("\noutput\n", OUTPUT).partition("\n")
+    COMMANDS[_name.strip("[]")] = _text
 """The text of each command, by its name."""
 LINES: dict[str, str] = {}
 for _line in "\n".join(COMMANDS.values()).replace("\n    ", " ").splitlines():
@@ -290,10 +295,13 @@ def hash_of(path: Path) -> str:
 
 def check_made(given: Namespace, kept: Path, made: Mapping[str, str]) -> None:
     """Raise InputError, but for --overwrite, unless a settings file says that a command with the
-    same options and inputs wrote what has these hashes, or began to."""
+    same options and inputs wrote what has these hashes, or began to, and no other wrote it."""
     if not made or given.overwrite:
         return
-    if not any({*hashes(given, kept, one)} <= {*lines_in(kept)} for one in (BEGUN, made)):
+    own = {*lines_in(kept)}
+    begun, marks = ({*hashes(given, kept, one)} for one in (BEGUN, made))
+    theirs = (marks - begun & {*lines_in(file)} for file in kept.parent.glob("*.txt"))
+    if not (marks <= own or (begun <= own and not any(theirs))):
         raise InputError(
             f"{next(iter(made))}: is there already, not by these settings and inputs, or changed "
             "since; name another, or --overwrite"

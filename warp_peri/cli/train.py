@@ -7,6 +7,7 @@ import dataclasses
 import io
 import shlex
 from argparse import Namespace
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,7 @@ from warp_peri.files.atomic import (
 )
 from warp_peri.fitting.evaluate import Run, train
 from warp_peri.materials import lps_law
-from warp_peri.points.arguments import USUAL, checked, symbols, usual_lengths
+from warp_peri.points.arguments import REDUCED, USUAL, checked, is_number, symbols, usual_lengths
 from warp_peri.points.dataset import Dataset, content_hash, load_dataset, save_dataset
 from warp_peri.points.points import Points, Samples
 
@@ -49,6 +50,7 @@ HELD_OUT = "test", "val"
 TYPED_BOX = 1e-3
 """Relative difference of a typed period from that of the dump."""
 ONE = "exactly one equilibrium for every load"
+GRAINED: Values = {"source": "warp-peri coarse-grain"}
 LINE = 72 * "-"
 """Between what there is, how good it is and what comes next, and the details."""
 
@@ -70,10 +72,9 @@ def run_coarse_grain(given: Namespace) -> Said:
     none = Samples(sheet, np.zeros((0, *sheet.x.shape)))
     Dataset({given.set: none}, given.thickness, given.density)  # checked before dumps are read
     frame = next(dumps.iter_dump(given.reference))
-    reference, box = frame.x, None
+    reference, box = frame.x, frame.box if given.box else None  # typed lengths are rounded
     if given.box:
-        dumps.check_box(given.reference, tuple(given.box), frame.box, TYPED_BOX)
-        box = frame.box  # typed lengths are rounded
+        dumps.check_box(given.reference, tuple(given.box), box, TYPED_BOX)
     limit = min(box) / 2 if box else float(np.ptp(reference, axis=0).max())
     if given.radius > limit:
         what = "half the smallest period" if box else "the extent of the body"
@@ -81,24 +82,19 @@ def run_coarse_grain(given: Namespace) -> Said:
     force = np.stack([atom_forces(path, len(reference)) for path in given.force])
     mass = dumps.read_masses(given.reference, given.mass) if given.mass else 1.0
     points = dataclasses.replace(sheet, x=sheet.x + reference.mean(axis=0))
-    omega = smoothing_matrix(
-        reference, points.x, radius=given.radius, box=box, spacing=given.spacing
-    )
-    samples = dumps.coarse_grain_dumps(
-        given.dumps,
-        omega,
-        points,
-        dumps.ReferenceAtoms(reference, mass, frame.ids, box),
-        force=force,
-        unloaded=given.unloaded or [],
-        node_area=given.spacing**2,
-        **chosen(given, "thickness", "skip", "progress"),
-    )
+    how = chosen(given, "radius", "spacing")
+    omega = smoothing_matrix(reference, points.x, box=box, **how)
+    atoms = dumps.ReferenceAtoms(reference, mass, frame.ids, box)
+    how = chosen(given, "thickness", "skip", "progress") | {"unloaded": given.unloaded or []}
+    how |= {"force": force, "node_area": given.spacing**2}
+    samples = dumps.coarse_grain_dumps(given.dumps, omega, points, atoms, **how)
     with locked(given.out):
-        before = _take_sheet(given)  # another job may have written it meanwhile
-        sets = {**(before.sets if before else {}), given.set: samples}
-        provenance = before.provenance if before else {"source": "warp-peri coarse-grain"}
-        made = Dataset(sets, given.thickness, given.density, provenance)
+        data = _take_sheet(given)  # another job may have written it meanwhile
+        data = data or Dataset({given.set: samples}, given.thickness, given.density, GRAINED)
+        alike = {*data} <= {given.set} or radius_of(data) == given.radius
+        cone = {"shape": "cone", "radius": given.radius if alike else None}
+        said = {**data.provenance, "smoothing": cone}
+        made = dataclasses.replace(data, sets={**data.sets, given.set: samples}, provenance=said)
         keep(given, *_set_of(given, made))  # a job that is killed between is done again
         save_dataset(given.out, made)
     result = {"file": str(given.out), "set": given.set, **samples.summary()}
@@ -129,9 +125,11 @@ def _take_sheet(given: Namespace) -> Dataset | None:
 
 def _set_of(given: Namespace, data: Dataset) -> tuple[Path, dict[str, str]]:
     """Settings file of a set of a data file, and the set's hash, by its name."""
-    mark = content_hash(dataclasses.replace(data, sets={given.set: data[given.set]}))
+    own = dataclasses.replace(data, sets={given.set: data[given.set]}, provenance=GRAINED)
     name = given.set.replace("%", "%25").replace(".", "%2E")  # a.h5 can have b.c, and a.b.h5 c
-    return beside(given.out, f"{name}.coarse-grain"), {f"{given.out}: set '{given.set}'": mark}
+    return beside(given.out, f"{name}.coarse-grain"), {
+        f"{given.out}: set '{given.set}'": content_hash(own)
+    }
 
 
 def atom_forces(path: Path, atoms: int) -> np.ndarray:
@@ -150,26 +148,23 @@ def atom_forces(path: Path, atoms: int) -> np.ndarray:
     return checked(columns, force, float, (atoms, 2))
 
 
-def _dataset(given: Namespace) -> Dataset:
-    """Load the data in their own units, or those asked for."""
-    return load_dataset(given.data, units=tuple(given.units) if given.units else None)
-
-
 def run_fit(given: Namespace) -> Said:
     """Fit a material to data; writes model.json, metrics.json and the settings to a folder."""
-    data = _dataset(given)
+    data = load_dataset(given.data, units=given.units)
     made = {"data_provenance": data.provenance, "sha256": hash_of(given.data)}
     samples, noise = data[given.set], None if given.noise is None else data[given.noise]
     if given.horizon is None:
         given.horizon = float(usual_lengths("horizon", HORIZON, data.units))
-    law = _law(given, samples.spacing)
+    law = _law(given, data)
     with writing(given) as begin:
         options: Values = {"noise": noise} if noise else {}
         run = train(law, samples, data.sets, progress=given.progress, **options)
-        metrics = _metrics(run)
+        metrics, why = _metrics(run), []
         with contextlib.suppress(InputError):  # scattered points, too few samples, third order
             found = warp_peri.diagnose(run.fit.material, samples, noise)
             metrics["residual"] = {"why": found.sentence, **found.shares}
+            shares = ", ".join(f"{name} {100 * one:.1f}" for name, one in found.shares.items())
+            why = [f"why: {found.sentence}", f"shares of the squared residual [%]: {shares}"]
             if found.advice:
                 warn(found.advice)
         metrics |= chosen(data, "thickness", "density")
@@ -177,16 +172,20 @@ def run_fit(given: Namespace) -> Said:
         run.save(given.out, metrics, data=given.data, provenance=made)
     tables = {name: {"samples": len(data[name]), **one} for name, one in run.tables.items()}
     tables |= {name: {"error": why} for name, why in run.refused.items()}
-    lines = [*_first(given, metrics, data), LINE, *repr(run.fit.material).split("\n")[1:]]
-    if "residual" in metrics:
-        why, *shares = metrics["residual"].items()
-        named = ", ".join(f"{name} {100 * share:.1f}" for name, share in shares)
-        lines += [f"why: {why[1]}", f"shares of the squared residual [%]: {named}"]
+    lines = [*_first(given, metrics, data), LINE, *repr(run.fit.material).split("\n")[1:], *why]
     model = str(given.out / "model.json")
     return {**metrics, "model": model}, [*lines, *error_table(tables, data.units)]
 
 
-def _law(given: Namespace, spacing: float) -> Any:
+def radius_of(data: Dataset) -> float | None:
+    """Radius, in the data's unit, that a file names of the cone that smoothed them; or None."""
+    smoothing = data.provenance.get("smoothing")
+    radius: Any = smoothing.get("radius") if isinstance(smoothing, Mapping) else None
+    known = is_number(radius) and radius > 0 and data.units != REDUCED
+    return float(usual_lengths("radius", radius, data.units)) if known else None
+
+
+def _law(given: Namespace, data: Dataset) -> Any:
     """Material to learn, by the options; InputError for options of an LPS with another material."""
     if given.law == "lps":
         if given.influence is not None and given.degree is not None:
@@ -200,7 +199,10 @@ def _law(given: Namespace, spacing: float) -> Any:
     law = warp_peri.Crystal(given.horizon)
     if given.law == "tensors":
         return law
-    return warp_peri.ThirdOrder(law, warp_peri.methods.Smoothing(2 * spacing))
+    if (radius := radius_of(data)) is None:
+        radius, unit = 2 * data[given.set].spacing, symbols(data.units)[0]
+        warn(f"smoothing: the data name no radius; taken is {radius:g} {unit}, two spacings")
+    return warp_peri.ThirdOrder(law, warp_peri.methods.Smoothing(radius))
 
 
 def _check_idle(given: Namespace, names: tuple[str, ...], what: str) -> None:
@@ -256,16 +258,12 @@ def _sheet_of(data: Dataset) -> str:
 
 def run_sweep(given: Namespace) -> Said:
     """Run Algorithm 2 on a data file; writes sweep.json and the models to a folder."""
-    data = _dataset(given)
-    sweep = warp_peri.methods.sweep(
-        data[given.set],
-        data[given.val],
-        given.out,
-        test=None if given.test is None else data[given.test],
-        noise=None if given.noise is None else data[given.noise],
-        law=warp_peri.LPS(HORIZON, None, lps_law.GaussNewton(moduli=None)),
-        **chosen(given, "horizons", "degrees", "jobs", "progress"),
-    )
+    data = load_dataset(given.data, units=given.units)
+    how = chosen(given, "horizons", "degrees", "jobs", "progress")
+    named = chosen(given, "test", "noise").items()
+    how |= {role: data[name] for role, name in named if name is not None}
+    how["law"] = warp_peri.LPS(HORIZON, None, lps_law.GaussNewton(moduli=None))
+    sweep = warp_peri.methods.sweep(data[given.set], data[given.val], given.out, **how)
     result = {
         "fits": len(sweep.trials),
         "units": list(data.units),
@@ -366,8 +364,8 @@ def _written(given: Namespace, choice: Any) -> tuple[Values, str]:
     best, fit, material = choice[0], choice[0].fit, choice[0].fit.material
     told = "are scaled: C11 + C22 + C66 without load is 1, no force is known (--stress gives one)"
     if given.stress:
-        scatter = f"{100 * fit.scatter:.2g}"
-        told = f"are in MPa by --stress; sections and frames scatter by {scatter} % around it"
+        told = f"are in MPa by --stress along {given.along}; sections and frames scatter by "
+        told += f"{100 * fit.scatter:.2g} % around it"
     words = [*warp_peri.hyperelastic.in_words(material), *_beside(fit)]
     words.append(f"stresses and coefficients {told}")
     try:
@@ -409,14 +407,14 @@ def _write_curves(folder: Path, stretches: np.ndarray, curves: Values, unit: str
 
     figure = Figure(figsize=(5, 3.6), layout="constrained")
     axes = figure.add_subplot()
-    columns, names = [stretches], ["stretch"]
+    columns, names, ends = [stretches], ["stretch"], []
     for (name, band), style in zip(curves.items(), ("-", "--", ":")):
         middle, low, high = band  # which may coincide with another's
         (line,) = axes.plot(stretches, middle, linestyle=style, label=name)
         axes.fill_between(stretches, low, high, color=line.get_color(), alpha=0.2, linewidth=0)
         columns += band
-        names += [f"P {name}", f"low {name}", f"high {name}"]
-    ends = [middle[-1] for middle, _, _ in curves.values()]
+        names += [f"{part} {name}" for part in ("P", "low", "high")]
+        ends.append(middle[-1])
     said = f"Directions differ by {100 * (max(ends) / min(ends) - 1):.1f} % in stress"
     axes.set(xlabel="stretch", ylabel=f"nominal stress [{unit}]", title=said)
     axes.legend(frameon=False, title="tension along\n(90 % bands)")
