@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import numpy as np
 
 import warp_peri as wp
-from examples.figures import panels, save_figure
+from examples.figures import check_place, panels, save_figure
 from tools.options import Options
 from warp_peri.errors import exit_status
 from warp_peri.fracture import BrittleMaterial, rectangle_nodes
@@ -65,7 +65,7 @@ def main(arguments: list[str] | None = None) -> int:
         "series": (False, "write files for ParaView"),
     }
     given = Options(__doc__, "branching", options=options).parse_args(arguments)
-    h = given.spacing
+    h, picture = given.spacing, check_place(given.out / "damage.png")
     solid, plate, no_fail = glass(h, given.ratio)
     x, step = gather(plate.points, plate.points.x), given.share * solid.longest_step(h)
     steps = max(1, round(given.time / PS / step))
@@ -91,7 +91,7 @@ def main(arguments: list[str] | None = None) -> int:
     shown = ax.scatter(1e3 * x[:, 0], 1e3 * x[:, 1], c=phi, s=4, cmap="magma_r", vmin=0, vmax=0.6)
     ax.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title=title)
     figure.colorbar(shown, ax=ax, label="share of broken bonds")
-    save_figure(figure, given.out / "damage.png", dpi=120)
+    save_figure(figure, picture, dpi=120)
     return 0
 
 

@@ -9,8 +9,10 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
-from warp_peri.files.atomic import whole_file
+from warp_peri.errors import InputError
+from warp_peri.files.atomic import destination, whole_file
 
 matplotlib.use("Agg")
 
@@ -22,13 +24,27 @@ def panels(*size: float, count: int = 1, rows: int = 1, **how: Any) -> tuple[Fig
     return figure, figure.subplots(rows, count, **how)
 
 
-def save_figure(figure: Figure, path: Path, dpi: float = 150) -> None:
-    """Write a figure whole or not at all, in 256 colours: a third of the bytes."""
-    with whole_file(path) as temporary:
+SOFTWARE = PngInfo()
+SOFTWARE.add_text("Software", "warp_peri")
+"""That pictures name, by which they are known."""
+
+
+def check_place(path: str | Path) -> Path:
+    """The path of a picture; InputError where a file is that save_figure did not make."""
+    place = destination(path)
+    if place.exists() and b"tEXtSoftware\0warp_peri" not in place.read_bytes():
+        raise InputError(f"{path}: is there already, and no picture of this job; move it away")
+    return Path(path)
+
+
+def save_figure(figure: Any, path: str | Path, dpi: float = 150, *, overwrite=False) -> None:
+    """Write a figure whole or not at all, in 256 colours: a third of the bytes; its folder is made.
+    Refused, but for `overwrite`, as by check_place."""
+    with whole_file(path if overwrite else check_place(path)) as temporary:
         figure.savefig(temporary, dpi=dpi, bbox_inches="tight")
         with Image.open(temporary) as drawn:
             few = drawn.convert("RGB").quantize(256, dither=Image.Dither.NONE)
-        few.save(temporary, format="PNG", optimize=True)
+        few.save(temporary, format="PNG", optimize=True, pnginfo=SOFTWARE)
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,11 @@ from matplotlib.figure import Figure
 
 from examples.figures import panels, save_figure
 from examples.prose import table
-from warp_peri import Dirichlet, Samples, plots, solve
+from warp_peri import Dataset, Dirichlet, Samples, plots, solve
+from warp_peri.cli.train import radius_of
 from warp_peri.files.atomic import write_text
 from warp_peri.fitting.evaluate import Run
 from warp_peri.materials.third_order import CUBIC
-from warp_peri.points.arguments import is_number
 
 RECORD = Path(__file__).parent.parent / "docs" / "record" / "graphene.json"
 """Errors of each model on graphene [%], the papers' among them."""
@@ -74,7 +74,7 @@ def draw(
         ax.legend(frameon=False)
         ax.set_title(said, fontsize="medium")
     for name, figure in figures.items():
-        save_figure(figure, folder / f"{name}.png")
+        save_figure(figure, folder / f"{name}.png", overwrite=True)  # which the job looked at
     return [f"{name}.png" for name in figures]
 
 
@@ -101,8 +101,9 @@ def disks_of(disks: Samples, solved: np.ndarray, errors: list[float]) -> Figure:
     return figure
 
 
-def metrics(run: Run, provenance: Mapping[str, Any]) -> dict[str, Any]:
+def metrics(run: Run, data: Dataset) -> dict[str, Any]:
     """Contents of metrics.json, without the seconds; errors are fractions."""
+    provenance: Mapping[str, Any] = data.provenance
     fit, model, figures = run.fit, run.fit.material, run.fit.certificate.figures()
     kept = ("E", "nu", "mu", "alpha", "D", "horizon", "degree")
     errors = {error: run.mean(error) for error in ("E_res", "E_u", "E_res_abs", "E_u_samples")}
@@ -121,7 +122,7 @@ def metrics(run: Run, provenance: Mapping[str, Any]) -> dict[str, Any]:
         "statement": fit.certificate.statement,
         "certified": bool(model.certified_on),
         "temperature": provenance.get("temperature", 0.0),
-        "radius": radius_of(provenance),
+        "radius": radius_of(data),
     }
     if fit.history[0].name == "1 Adam" and not numbers["temperature"]:
         first, last = fit.history[:2]
@@ -131,13 +132,6 @@ def metrics(run: Run, provenance: Mapping[str, Any]) -> dict[str, Any]:
             "rounds": len(first.loss) - 1,
         }
     return numbers
-
-
-def radius_of(provenance: Mapping[str, Any]) -> float | None:
-    """Radius [Å] that a file names of the cone that smoothed atoms to nodes, or None."""
-    smoothing = provenance.get("smoothing")
-    radius: Any = smoothing.get("radius") if isinstance(smoothing, Mapping) else None
-    return radius if is_number(radius) and radius > 0 else None
 
 
 def write_report(

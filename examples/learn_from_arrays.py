@@ -1,12 +1,15 @@
 """Learn a solid from arrays: nodes, displacements and loads of an elastic sheet under waves."""
 
 import json
+import sys
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).parent.parent))
 import warp_peri
+from examples.figures import save_figure
 from warp_peri import plots
 
 PICTURE = Path(__file__).parent.parent / "runs" / "learn_from_arrays.png"
@@ -36,5 +39,4 @@ numbers = {
 if __name__ == "__main__":
     print(json.dumps(numbers, indent=1, ensure_ascii=False))
     plots.influence_function(fit.material, spacing=5.0, ax=plt.figure().add_subplot())
-    PICTURE.parent.mkdir(exist_ok=True)
-    plt.savefig(PICTURE)
+    save_figure(plt.gcf(), PICTURE)

@@ -20,6 +20,7 @@ from tools.elements import errors_of_local, moduli_of
 from tools.options import Options
 from warp_peri.core.elastic import plane_isotropic
 from warp_peri.errors import exit_status
+from warp_peri.points.arguments import USUAL
 
 
 def errors_by_model(
@@ -46,7 +47,9 @@ def main(arguments: list[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     data = wp.load(given.data)
     truth = data.provenance.get("truth")
-    models = {path.stem: wp.load(path) for path in given.models}
+    units = data.units if truth is None else USUAL  # of the truth
+    data = wp.load(given.data, units=units)
+    models = {path.stem: wp.load(path, units=units) for path in given.models}
     sets = {name: data[name] for name in given.sets}
     true = None if truth is None else plane_isotropic(truth["lambda"], truth["mu"])
     for label, errors in errors_by_model(models, sets, true).items():

@@ -2,12 +2,15 @@
 
 import dataclasses
 import json
+import sys
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).parent.parent))
 import warp_peri
+from examples.figures import save_figure
 
 PICTURE = Path(__file__).parent.parent / "runs" / "own_influence.png"
 HORIZON, H = 15.0, 5.0  # Å
@@ -45,5 +48,4 @@ if __name__ == "__main__":
     plt.plot(r, ring(r, 9.0, 5.0), "k:", label="truth")
     plt.gca().set(xlabel="bond length r [Å]", ylabel="K")
     plt.legend()
-    PICTURE.parent.mkdir(exist_ok=True)
-    plt.savefig(PICTURE)
+    save_figure(plt.gcf(), PICTURE)

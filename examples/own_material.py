@@ -19,7 +19,7 @@ from tools.elastic import elastic_constants
 from tools.graphene import bond_length, sheet
 from tools.lammps_session import LammpsSession
 from tools.loads import TRAINING, VALIDATION, Load
-from tools.options import Options
+from tools.options import Options, check_new
 from tools.statics import Statics
 from warp_peri import load
 from warp_peri.atoms.calculators import potential_file
@@ -94,6 +94,7 @@ def run(out: Path) -> tuple[dict[str, dict[str, float]], dict[str, dict[str, flo
 
 def main(arguments: list[str] | None = None) -> int:
     given = Options(__doc__, "boron_nitride").parse_args(arguments)
+    check_new(given.out, "dumps/*", "constants.json", "errors.json")
     with locked(given.out):
         rows, errors = run(given.out)
         write_json(given.out / "constants.json", rows)

@@ -10,7 +10,7 @@ sys.path.insert(0, str(ROOT))
 import numpy as np
 
 import warp_peri as wp
-from examples.figures import panels
+from examples.figures import check_place, panels, save_figure
 from warp_peri import Cracked
 from warp_peri.fracture import BrittleMaterial, Injected, box_nodes, energy_release, j_integral
 from warp_peri.fracture import penny_corners as corners
@@ -70,6 +70,7 @@ def torn(side=24, radius=5.0, steps=400):
 
 
 if __name__ == "__main__":
+    check_place(PICTURE)
     points, motion, stress = torn()
     G, J = released()
     numbers = {
@@ -97,5 +98,4 @@ if __name__ == "__main__":
     axes[2].plot(1e-6 * motion.time, stress)
     axes[2].set(xlabel="time [µs]", ylabel="stress over Griffith's", title="The block unloads")
     figure.suptitle("A round crack, pulled apart, runs to the faces of its block")
-    PICTURE.parent.mkdir(exist_ok=True)
-    figure.savefig(PICTURE)
+    save_figure(figure, PICTURE)

@@ -17,12 +17,12 @@ import numpy as np
 
 import warp_peri as wp
 from examples.exact import hoop_stress, plate_with_hole
-from examples.figures import panels, save_figure
+from examples.figures import check_place, panels, save_figure
 from tools.options import Options
 from warp_peri.crystals import crystal_from_lps
 from warp_peri.errors import InputError, exit_status
 from warp_peri.methods import Coupling
-from warp_peri.points.arguments import Positive
+from warp_peri.points.arguments import USUAL, Positive
 from warp_peri.points.outlines import Circle, box, mesh_outline
 
 TENSION = 0.005
@@ -46,7 +46,8 @@ def main(arguments: list[str] | None = None) -> int:
         "horizon": (7.5, "at most, there [Å]", Positive),
     }
     given = Options(__doc__, "plate_with_hole", options=options).parse_args(arguments)
-    model, h = wp.load(given.model), given.spacing
+    model, h = wp.load(given.model, units=USUAL), given.spacing
+    picture = check_place(given.out / "stress.png")
     if not isinstance(model, wp.LPSMaterial):
         raise InputError(f"model: expected an LPSMaterial, got {type(model).__name__}")
     if not model.is_certified_on(h) or given.horizon != model.horizon:
@@ -77,7 +78,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     ax.set(aspect="equal", xlabel="x [Å]", ylabel="y [Å]", title="Tension along x")
     figure.colorbar(shown, ax=ax, label="stress along x over the tension")
-    save_figure(figure, given.out / "stress.png", dpi=120)
+    save_figure(figure, picture, dpi=120)
     return 0
 
 

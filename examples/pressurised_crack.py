@@ -6,6 +6,7 @@ The load is minus the force that the missing bonds would carry.
 import json
 import sys
 from pathlib import Path
+from typing import Annotated
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
@@ -13,13 +14,14 @@ import numpy as np
 
 import warp_peri as wp
 from examples.exact import sneddon_opening, westergaard
-from examples.figures import panels
+from examples.figures import check_place, panels, save_figure
 from tools.options import Options, at_least
 from warp_peri import fracture
 from warp_peri.errors import exit_status
-from warp_peri.points.arguments import REDUCED, Natural
+from warp_peri.points.arguments import REDUCED, Bound
 
 HALF, RATIO, TOUGHNESS = 0.5, 3.0, 0.01
+GROWTH = Annotated[int, Bound("0, or a whole number ≥ 4", lambda n: n == 0 or n >= 4)]
 
 
 def square(cells: int, lam: float):
@@ -56,10 +58,11 @@ def opening(cells: int, lam: float = 1.0):
 def main(argv: list[str] | None = None) -> int:
     options = {
         "cells": ([8, 16, 32], "per unit length", at_least(4)),
-        "growth": (16, "cells of the growing crack, 0: none", Natural),
+        "growth": (16, "cells of the growing crack, 0: none", GROWTH),
     }
     args = Options(__doc__, "pressurised_crack", options=options).parse_args(argv)
     numbers: dict = {"over Sneddon": {}}
+    picture = check_place(args.out / "opening.png")
     figure, (left, right) = panels(9, 4, count=2)
     for cells in args.cells:
         numbers["over Sneddon"][f"L/{cells}"], (place, opened, expected) = opening(cells)
@@ -78,7 +81,7 @@ def main(argv: list[str] | None = None) -> int:
         right.plot(run["pumped"], exact, "k", linewidth=0.8, label="plane")
         right.set(xlabel="volume pumped", ylabel="pressure")
         right.legend(frameon=False)
-    figure.savefig(args.out / "opening.png", dpi=120)
+    save_figure(figure, picture, dpi=120)
     print(json.dumps(numbers, indent=1))
     return 0
 

@@ -8,7 +8,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
 import warp_peri
-from examples.figures import panels
+from examples.figures import check_place, panels, save_figure
 from warp_peri.crystals import crystal_from_lps
 
 PICTURE = Path(__file__).parent.parent / "runs" / "solid_in_space.png"
@@ -33,6 +33,7 @@ def swollen(h):
 
 
 if __name__ == "__main__":
+    check_place(PICTURE)
     solved = [swollen(h) for h in SPACINGS]
     errors = [error for *_, error, _ in solved]
     order = float(np.polyfit(np.log(SPACINGS), np.log(errors), 1)[0])
@@ -52,5 +53,4 @@ if __name__ == "__main__":
     axes[1].set(xlabel="spacing [half sides], δ = 2 spacings")
     axes[1].set(ylabel="relative error of displacement", title="The error falls with spacing²")
     axes[1].legend(frameon=False)
-    PICTURE.parent.mkdir(exist_ok=True)
-    figure.savefig(PICTURE)
+    save_figure(figure, PICTURE)

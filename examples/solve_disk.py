@@ -2,12 +2,15 @@
 
 import dataclasses
 import json
+import sys
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).parent.parent))
 import warp_peri
+from examples.figures import save_figure
 
 PICTURE = Path(__file__).parent.parent / "runs" / "solve_disk.png"
 LAM, MU, RADIUS, H = 0.3, 0.7, 1.0, 1 / 24
@@ -40,5 +43,4 @@ if __name__ == "__main__":
     plt.colorbar(label="|u − elasticity|")
     plt.gca().set(aspect="equal", xlabel="x / R", ylabel="y / R")
     plt.title("The disk as it spins; its core is held")
-    PICTURE.parent.mkdir(exist_ok=True)
-    plt.savefig(PICTURE)
+    save_figure(plt.gcf(), PICTURE)

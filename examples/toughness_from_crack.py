@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 import warp_peri as wp
-from examples.figures import panels, save_figure
+from examples.figures import check_place, panels, save_figure
 from tools.options import Options
 from warp_peri.errors import exit_status
 from warp_peri.fracture import BondLaw, SofteningMaterial, rectangle_nodes
@@ -87,9 +87,10 @@ def main(args: list[str] | None = None) -> int:
     """Write the picture and print the numbers."""
     options = {"seed": (0, "of the noise", Natural), "iterations": (15, "of L-BFGS", Count)}
     given = Options(__doc__, "toughness_from_crack", options=options).parse_args(args)
+    place = check_place(given.out / "toughness_from_crack.png")
     numbers, figure = toughness_from_force(given.seed, given.iterations)
     print(json.dumps(numbers, indent=1))
-    save_figure(figure, given.out / "toughness_from_crack.png")
+    save_figure(figure, place)
     return 0
 
 

@@ -11,6 +11,7 @@ import shlex
 import sys
 import time
 import warnings
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -34,7 +35,7 @@ from warp_peri.materials import lps_law
 from warp_peri.materials.lps import LPSParameters
 from warp_peri.materials.lps_fit import Learner
 from warp_peri.materials.lps_law import LPSFound, optimum
-from warp_peri.points.arguments import Natural, NotNegative, Positive, is_number
+from warp_peri.points.arguments import USUAL, Natural, NotNegative, Positive, is_number
 
 DATA = ROOT / "data" / "graphene_0K.h5"
 BOND, THICKNESS = (1.3, 1.6), 3.35
@@ -66,16 +67,16 @@ def run(given: argparse.Namespace) -> None:
         raise InputError("temperature: expected none beside data, which have their own")
     given.options["data"] = path = given.data or made_data(given)
     with writing(given) as start:
-        start()
-        learn(given, path, begin)
+        learn(given, path, begin, start)
 
 
-def learn(given: argparse.Namespace, path: Path, begin: float) -> None:
-    """Results from a data file, and what is printed of them; the time since `begin` is told."""
-    data = wp.load(path)
+def learn(given: argparse.Namespace, path: Path, begin: float, start: Callable[[], None]) -> None:
+    """Results from a data file, and what is printed of them; the time since `begin` is told.
+    `start` is called before the first file."""
+    data = wp.load(path, units=USUAL)
     check_graphene(path, data)
     sets = sets_at(data, given.spacing)
-    if not ({"noise"} & sets.keys() or given.linear or report.radius_of(data.provenance)):
+    if not ({"noise"} & sets.keys() or given.linear or report.radius_of(data)):
         raise InputError(
             f"{path}: expected a file that names the radius of its smoothing, smoothing.radius in "
             "Å, which other laws than the linear solid need; or --linear"
@@ -88,7 +89,7 @@ def learn(given: argparse.Namespace, path: Path, begin: float) -> None:
     for reason in trained.refused.values():
         raise InputError(reason)
     seconds |= trained.seconds
-    numbers, models = report.metrics(trained, data.provenance), {}
+    numbers, models = report.metrics(trained, data), {}
     rows = numbers["models"]
     if "augmented_lagrangian" in numbers:
         numbers["alphas"] = alphas_as_good(sets["train"], trained.fit.law)
@@ -103,7 +104,6 @@ def learn(given: argparse.Namespace, path: Path, begin: float) -> None:
                 rows[name] |= {key: found.certificate.figures()[key] for key in report.CERTIFICATE}
             else:
                 models[name] = found.material
-                found.material.save(given.out / f"{report.FILES[name]}.json")
     if (truth := numbers["truth"]) and not numbers["temperature"]:
         learned = numbers["moduli"]
         pairs = (truth["lambda"], truth["mu"]), (learned["C12"], learned["C44"])
@@ -113,6 +113,9 @@ def learn(given: argparse.Namespace, path: Path, begin: float) -> None:
             means = {role: float(np.mean(each)) for role, each in errors.items()}
             rows[name] = {"E_u": means, "E_u_samples": errors}
     drawing = time.perf_counter()
+    start()
+    for name, material in models.items():
+        material.save(given.out / f"{report.FILES[name]}.json")
     numbers["figures"] = report.draw(given.out, trained, sets, rows)
     seconds["figures"] = time.perf_counter() - drawing
     numbers |= {"thickness": data.thickness, "density": data.density}

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_type_hints
 
+from warp_peri.errors import InputError
 from warp_peri.files.atomic import written
 from warp_peri.points.arguments import LARGEST, Bound
 
@@ -29,6 +30,12 @@ def at_least(count: int) -> Any:
 def one_of(words: Sequence[str]) -> Any:
     """The kind of these words."""
     return Annotated[str, Bound(f"of {', '.join(words)}", words.__contains__)]
+
+
+def check_new(folder: Path, *names: str) -> None:
+    """Raise InputError where a folder has files of such names."""
+    for file in (file for name in names for file in folder.glob(name)):
+        raise InputError(f"{file}: is there already; name another folder, or move it away")
 
 
 def fields_of(kind: type, words: str) -> dict[str, tuple[Any, ...]]:

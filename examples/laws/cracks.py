@@ -1,9 +1,13 @@
 """A notched glass plate pulled apart: bonds break, a crack runs, a ledger keeps the energy."""
 
+import sys
+
 import matplotlib.pyplot as plt
 import numpy as np
 
+sys.path.insert(0, "")  # of the repository, where data/ is
 import warp_peri as wp
+from examples.figures import save_figure
 
 h = 1e-3  # m; a plate of 10 cm by 4 cm
 units = ("m", "Pa")
@@ -20,4 +24,4 @@ run = wp.simulate(solid, plate, step=step, steps=300, every=10, no_fail=rim)
 print(run, f"energy that is missing from the ledger: {run.missing:.1e}", sep="\n")
 plt.scatter(1e3 * x[:, 0], 1e3 * x[:, 1], c=run.details.damage, s=4)
 plt.gca().set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title="Share of broken bonds")
-plt.savefig("cracks.png")
+save_figure(plt.gcf(), "runs/cracks.png")

@@ -1,9 +1,12 @@
 """Heat through a plate with a round grain that conducts ten times better."""
 
-import matplotlib.pyplot as plt
+import sys
+
 import numpy as np
 
+sys.path.insert(0, "")  # of the repository, where data/ is
 import warp_peri as wp
+from examples.figures import save_figure
 
 h = 1 / 32
 steps = np.argwhere(np.ones((77, 77))) - 38
@@ -22,5 +25,5 @@ material = wp.diffusion.DiffusionMaterial(horizon=3 * h, conductivity=1.0, units
 solution = wp.solve(material, wp.Dirichlet(points, np.zeros_like(phi), phi), kappa=kappa)
 
 print(material, solution, sep="\n")
-solution.plot().set_title("Temperature")
-plt.savefig("diffusion.png")
+title = solution.plot().set_title("Temperature")
+save_figure(title.figure, "runs/diffusion.png")

@@ -1,8 +1,10 @@
 """Graphene as a linear peridynamic solid: seventy loads teach it, a disk it never saw judges it."""
 
-import matplotlib.pyplot as plt
+import sys
 
+sys.path.insert(0, "")  # of the repository, where data/ is
 import warp_peri as wp
+from examples.figures import save_figure
 
 data = wp.load("data/graphene_0K.h5")  # of `make graphene`
 fit = wp.fit(data["train"], wp.LPS(horizon=12.5, kernel=wp.Bernstein(4)))
@@ -11,5 +13,5 @@ solution = wp.solve(fit.material, wp.Dirichlet(disk, disk.b, disk.u))
 error = wp.evaluate(fit.material, disk)["E_u"]
 
 print(fit.material, fit.certificate.statement, sep="\n")
-solution.plot().set_title(f"A disk the fit never saw: {100 * error:.2f} % off")
-plt.savefig("linear.png")
+title = solution.plot().set_title(f"A disk the fit never saw: {100 * error:.2f} % off")
+save_figure(title.figure, "runs/linear.png")

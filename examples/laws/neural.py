@@ -1,8 +1,10 @@
 """Graphene as a neural operator, trained for seconds at small widths."""
 
-import matplotlib.pyplot as plt
+import sys
 
+sys.path.insert(0, "")  # of the repository, where data/ is
 import warp_peri as wp
+from examples.figures import save_figure
 
 data = wp.load("data/graphene_0K.h5")  # of `make graphene`
 law = wp.neural.NeuralOperator(horizon=12.5, influence=(32, 32), state=(32, 32), strain=0.5)
@@ -13,5 +15,5 @@ solution = wp.solve(fit.material, wp.Dirichlet(disk, disk.b, disk.u))
 error = wp.evaluate(fit.material, disk)["E_u"]
 
 print(fit.material, fit.history, sep="\n")
-solution.plot().set_title(f"A disk the fit never saw: {100 * error:.2f} % off")
-plt.savefig("neural.png")
+title = solution.plot().set_title(f"A disk the fit never saw: {100 * error:.2f} % off")
+save_figure(title.figure, "runs/neural.png")

@@ -1,8 +1,10 @@
 """Graphene at some per cent: a linear crystal, and the potential's third-order constants."""
 
-import matplotlib.pyplot as plt
+import sys
 
+sys.path.insert(0, "")  # of the repository, where data/ is
 import warp_peri as wp
+from examples.figures import save_figure
 
 data = wp.load("data/graphene_0K.h5")  # of `make graphene`
 law = wp.ThirdOrder(wp.Crystal(horizon=15.0), wp.methods.Smoothing(radius=10.0))
@@ -12,5 +14,5 @@ solution = wp.solve(fit.material, wp.Dirichlet(disk, disk.b, disk.u))
 error = wp.evaluate(fit.material, disk)["E_u"]
 
 print(fit.material, f"one solution up to |H| = {fit.material.proven_strain(5.0):.3f}", sep="\n")
-solution.plot().set_title(f"A disk the fit never saw: {100 * error:.2f} % off")
-plt.savefig("third_order.png")
+title = solution.plot().set_title(f"A disk the fit never saw: {100 * error:.2f} % off")
+save_figure(title.figure, "runs/third_order.png")

@@ -1,8 +1,10 @@
 """A sheet with fibres, from displacement and load: an energy at nodes and on corners of cells."""
 
-import matplotlib.pyplot as plt
+import sys
 
+sys.path.insert(0, "")  # of the repository, where data/ is
 import warp_peri as wp
+from examples.figures import save_figure
 
 data = wp.load("data/hgo.h5")  # of `python tools/make_hgo.py`
 read = wp.hyperelastic.fit_fibre_families(data["train"], stiffness=0.35)
@@ -12,5 +14,5 @@ solution = wp.solve(fit.material, wp.Dirichlet(disk, disk.b, disk.u))
 error = wp.evaluate(fit.material, disk)["E_u"]
 
 print(*wp.hyperelastic.in_words(fit.material), sep="\n")
-solution.plot().set_title(f"A disk the fit never saw: {100 * error:.2f} % off")
-plt.savefig("tissue.png")
+title = solution.plot().set_title(f"A disk the fit never saw: {100 * error:.2f} % off")
+save_figure(title.figure, "runs/tissue.png")

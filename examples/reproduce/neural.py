@@ -30,7 +30,7 @@ from tools.hyperelastic_elements import Elements, NotSolved, finite_elements
 from tools.hyperelastic_energies import Energy, Family
 from tools.make_hgo import DISK_RADIUS, HORIZON, NODES, SPACING, SQUARES, make_hgo
 from tools.make_leaflet import make_leaflet
-from tools.options import Options
+from tools.options import Options, check_new
 from warp_peri import Dataset, InputError, Points, Samples, hyperelastic
 from warp_peri.errors import exit_status
 from warp_peri.materials.hyperelastic.energies import NEAREST, half_family
@@ -498,7 +498,9 @@ def main() -> None:
     parser = Options(__doc__, "neural", options=options)
     parser.add_argument("experiment", choices=EXPERIMENTS)
     given = parser.parse_args(sys.argv[2:])
-    name, sets = given.experiment, sets_of(given.experiment)
+    name = given.experiment
+    check_new(given.out, f"{name}.json")
+    sets = sets_of(name)
     material = trained(name, given.out, given.epochs, sets)
     print({key: percent(e, SETS) for key, e in errors_of(material, sets, solve=False).items()})
 

@@ -10,6 +10,7 @@ import matplotlib.pyplot as plt
 import pytest
 
 import warp_peri as wp
+from examples.figures import check_place
 from tests.support import ROOT, approx, filterwarnings, of_json, parametrize, slow, sup
 from tests.support.plates import MODEL
 
@@ -44,7 +45,7 @@ def test_a_law_in_a_few_lines(name, graphene, here):
     (here / "data").symlink_to(graphene.parent)
     names = runpy.run_path(str(FOLDER / "laws" / f"{name}.py"))
     plt.close("all")
-    assert (here / f"{name}.png").stat().st_size > 5000
+    assert check_place(f"runs/{name}.png").stat().st_size > 5000  # may be drawn again
     if name == "cracks":
         assert names["run"].missing < 2e-3
     elif name == "diffusion":  # no extremes inside
@@ -67,7 +68,7 @@ def test_a_script_finds_its_number(name, number, value):
     "name", [pytest.param(n, marks=[slow] * (n == "toughness_from_crack")) for n in COMMANDS]
 )
 def test_a_command_errs_by_no_more(name, here, capsys):
-    wp.save("model.json", MODEL)
+    wp.save("model.json", MODEL.in_units(("nm", "GPa")))
     options, holds = COMMANDS[name]
     assert importlib.import_module(f"examples.{name}").main(options.split()) == 0
     assert holds(json.loads(capsys.readouterr().out))

@@ -28,8 +28,9 @@ IN_README = {
 def job(graphene, tmp_path_factory):
     """Folder, what is printed, and numbers of the main job."""
     out = tmp_path_factory.mktemp("runs") / "graphene_0K"
+    save(data := out.with_name("nm.h5"), load(graphene, units=("nm", "GPa")))
     with redirect_stdout(io.StringIO()) as printed:
-        assert train_graphene.main(["--data", str(graphene), "--out", str(out)]) == 0
+        assert train_graphene.main(["--data", str(data), "--out", str(out)]) == 0
     return out, printed.getvalue(), of_json(out / "metrics.json")
 
 

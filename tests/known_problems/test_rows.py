@@ -97,6 +97,12 @@ def test_the_command_ends_with_one_where_a_row_surprises(capsys, tmp_path, monke
     with (tmp_path / "page.csv").open(newline="") as file:
         row, _ = csv.DictReader(file)
     assert (row["problem"], row["answer"], row["holds"]) == ("hole", "3.3", "True")
+    (tmp_path / "mine.csv").write_text("mine")
+    for words in ("--page", f"{tmp_path}/mine.md"), ("--page", "a.csv"), ("--processes", "0"):
+        with pytest.raises(SystemExit, match="2"):
+            command.main([*words])
+        assert ": error: " in capsys.readouterr().err
+    assert command.main(["--page", str(tmp_path / "page.md")]) == 0  # its own, again
     lines.append(made(material="bonds"))
     assert command.main([]) == 1
     lines[:] = [made(holds=True, misses="known")]

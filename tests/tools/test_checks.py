@@ -56,6 +56,9 @@ tools/make_leaflet.py --uneven 1e308 | --uneven: expected a number from −10 to
 tools/make_thermal.py --reduction all | --reduction: expected of shared, plain, iota, got all
 tools/benchmark.py solve --draw | --draw: expected with front, got solve
 tools/make_hgo.py --out a | a.h5: expected a file or a new name, got a folder
+examples/own_material.py --out a.h5 | constants.json: is there already; name another folder
+examples/branching.py --out a.h5 | damage.png: is there already, and no picture of this job
+examples/pressurised_crack.py --growth 3 | --growth: expected 0, or a whole number ≥ 4, got 3
 tools/make_frames.py b --noise nan | --noise: expected a number ≥ 0, got nan
 tools/make_frames.py a.h5 | has frames already; name another, or --overwrite
 tools/mutants.py --only 99999 | --only: expected the number of a fault, got 99999
@@ -74,7 +77,8 @@ examples/polymer/tables.py nope | table: expected of law, plates
 def test_what_makes_no_sense_is_refused_at_once(line, here, monkeypatch, capsys):
     words, said = line.format(frozen=ROOT / "tests/frozen").split(" | ")
     (here / "a.h5").mkdir()
-    (here / "a.h5/frame00.csv").touch()
+    for name in ("frame00.csv", "constants.json", "damage.png"):
+        (here / "a.h5" / name).touch()
     (here / "a.csv").write_text("[1]")
     monkeypatch.setattr(sys, "argv", words.split())
     with pytest.raises(SystemExit, match="2"):
