@@ -25,8 +25,7 @@ def panels(*size: float, count: int = 1, rows: int = 1, **how: Any) -> tuple[Fig
 
 
 SOFTWARE = PngInfo()
-SOFTWARE.add_text("Software", "warp_peri")
-"""That pictures name, by which they are known."""
+SOFTWARE.add_text("Software", "warp_peri")  # by which pictures are known
 
 
 def check_place(path: str | Path) -> Path:
@@ -38,8 +37,7 @@ def check_place(path: str | Path) -> Path:
 
 
 def save_figure(figure: Any, path: str | Path, dpi: float = 150, *, overwrite=False) -> None:
-    """Write a figure whole or not at all, in 256 colours: a third of the bytes; its folder is made.
-    Refused, but for `overwrite`, as by check_place."""
+    """Write a figure whole or not at all, in 256 colours, a third of the bytes; see check_place."""
     with whole_file(path if overwrite else check_place(path)) as temporary:
         figure.savefig(temporary, dpi=dpi, bbox_inches="tight")
         with Image.open(temporary) as drawn:

@@ -30,13 +30,12 @@ from warp_peri.files.atomic import locked, write_json
 
 ELEMENTS = ("B", "N")
 MASSES = [atomic_masses[atomic_numbers[name]] for name in ELEMENTS]
+Sets = dict[str, tuple[list[Path], list[Path]]]
 CELLS, HIGHEST, STRAIN = (39, 23), 3, 0.01
 """Cells of the sheet; most periods of a wave along each axis; largest strain of a bond."""
 
 
-def make_dumps(
-    folder: Path,
-) -> tuple[dict[str, tuple[list[Path], list[Path]]], Path, tuple[float, float]]:
+def make_dumps(folder: Path) -> tuple[Sets, Path, tuple[float, float]]:
     """Dumps and forces of loads by set, the dump without load, and the periods [Å]."""
     potential = potential_file("BNC.tersoff")
     bond = bond_length(potential, elements=ELEMENTS)
@@ -46,7 +45,7 @@ def make_dumps(
     loads: list[tuple[str, Load]] = [("val", patch) for patch in VALIDATION]
     loads[:0] = [("train", wave) for wave in TRAINING if max(wave.waves) <= HIGHEST]
     folder.mkdir(parents=True, exist_ok=True)
-    found: dict[str, tuple[list[Path], list[Path]]] = {"train": ([], []), "val": ([], [])}
+    found: Sets = {"train": ([], []), "val": ([], [])}
     rest = folder / "rest.dump"
     with LammpsSession(positions, box=box, potential=potential, elements=ELEMENTS) as session:
         statics = Statics(positions, box=box, session=session)

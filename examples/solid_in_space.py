@@ -23,9 +23,8 @@ def swollen(h):
     r = np.linalg.norm(x, axis=1)
     points = warp_peri.Points(x, (r > BALL) & (np.abs(x).max(axis=1) < 1 - h / 2), h)
     # K = 1/r, δ = 2h. As tensors of range 2δ the solid is proven, and solved at any size.
-    law = crystal_from_lps(
-        warp_peri.LPSMaterial(LAM, MU, 1.0, np.ones(1), horizon=2 * h, dimension=3), h
-    )
+    solid = warp_peri.LPSMaterial(LAM, MU, 1.0, np.ones(1), horizon=2 * h, dimension=3)
+    law = crystal_from_lps(solid, h)
     exact = 0.1 * x * (BALL / np.maximum(r, BALL / 5))[:, None] ** 3  # without load, div u = 0
     u = warp_peri.solve(law, warp_peri.Dirichlet(points, np.zeros_like(x), exact)).u
     error = np.linalg.norm((u - exact)[points.interior]) / np.linalg.norm(exact[points.interior])

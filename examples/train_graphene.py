@@ -71,8 +71,7 @@ def run(given: argparse.Namespace) -> None:
 
 
 def learn(given: argparse.Namespace, path: Path, begin: float, start: Callable[[], None]) -> None:
-    """Results from a data file, and what is printed of them; the time since `begin` is told.
-    `start` is called before the first file."""
+    """Results of data, and what is printed; the time since `begin`; `start` precedes all files."""
     data = wp.load(path, units=USUAL)
     check_graphene(path, data)
     sets = sets_at(data, given.spacing)

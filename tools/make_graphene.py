@@ -224,14 +224,8 @@ def on_nodes(
     omega = smoothing_matrix(
         reference, x, radius=radius, shape=shape, box=body.box, spacing=spacing
     )
-    u, b = coarse_grain(
-        omega,
-        displacement=displacement,
-        force=force,
-        mass=CARBON_MASS,
-        node_area=spacing**2,
-        thickness=THICKNESS,
-    )
+    how = {"mass": CARBON_MASS, "node_area": spacing**2, "thickness": THICKNESS}
+    u, b = coarse_grain(omega, displacement=displacement, force=force, **how)
     return Samples(Points(x, interior, spacing, axis=ZIGZAG), u, b)
 
 

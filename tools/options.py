@@ -19,6 +19,7 @@ NewFile = Annotated[
 JOBS = -1, "processes; -1 is one for each core", Annotated[
     int, Bound("a number of processes ≥ 1, or -1", lambda value: value >= 1 or value == -1)
 ]  # fmt: skip
+Table = Mapping[str, tuple[Any, ...]]
 RUNS = Path(__file__).resolve().parent.parent / "runs"
 
 
@@ -74,13 +75,7 @@ class Options(argparse.ArgumentParser):
             taken; False is a flag; a type in place of a default stands for none.
     """
 
-    def __init__(
-        self,
-        doc: str | None,
-        out: str = "",
-        *,
-        options: Mapping[str, tuple[Any, ...]] | None = None,
-    ) -> None:
+    def __init__(self, doc: str | None, out: str = "", *, options: Table | None = None) -> None:
         formatter = argparse.RawDescriptionHelpFormatter
         super().__init__(description=doc, formatter_class=formatter)
         every, self._lists = dict(options or {}), {}

@@ -1,11 +1,12 @@
 """A notched glass plate pulled apart: bonds break, a crack runs, a ledger keeps the energy."""
 
 import sys
+from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 
-sys.path.insert(0, "")  # of the repository, where data/ is
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import warp_peri as wp
 from examples.figures import save_figure
 

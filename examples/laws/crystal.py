@@ -1,8 +1,9 @@
 """Graphene as a crystal of any symmetry: a tensor for each bond, and one least squares."""
 
 import sys
+from pathlib import Path
 
-sys.path.insert(0, "")  # of the repository, where data/ is
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import warp_peri as wp
 from examples.figures import save_figure
 

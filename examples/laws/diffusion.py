@@ -1,10 +1,11 @@
 """Heat through a plate with a round grain that conducts ten times better."""
 
 import sys
+from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, "")  # of the repository, where data/ is
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import warp_peri as wp
 from examples.figures import save_figure
 

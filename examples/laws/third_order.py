@@ -1,8 +1,9 @@
 """Graphene at some per cent: a linear crystal, and the potential's third-order constants."""
 
 import sys
+from pathlib import Path
 
-sys.path.insert(0, "")  # of the repository, where data/ is
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import warp_peri as wp
 from examples.figures import save_figure
 

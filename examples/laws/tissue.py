@@ -1,8 +1,9 @@
 """A sheet with fibres, from displacement and load: an energy at nodes and on corners of cells."""
 
 import sys
+from pathlib import Path
 
-sys.path.insert(0, "")  # of the repository, where data/ is
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import warp_peri as wp
 from examples.figures import save_figure
 

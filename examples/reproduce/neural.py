@@ -145,12 +145,8 @@ def fresh(name: str, units: Any, seed: int = 0) -> tuple[NeuralOperator, Trainin
 
     Strain, rate, batch and epochs are not printed.
     """
-    wide: dict[str, Any] = {
-        "influence": (256, 512),
-        "state": (512, 512),
-        "units": units,
-        "seed": seed,
-    }
+    wide: dict[str, Any] = {"units": units, "seed": seed}
+    wide |= {"influence": (256, 512), "state": (512, 512)}
     if name == "graphene":
         return NeuralOperator(20.0, **wide, strain=0.5), TrainingSettings(epochs=330, batch=2)
     if name == "leaflet":
@@ -498,9 +494,8 @@ def main() -> None:
     parser = Options(__doc__, "neural", options=options)
     parser.add_argument("experiment", choices=EXPERIMENTS)
     given = parser.parse_args(sys.argv[2:])
-    name = given.experiment
-    check_new(given.out, f"{name}.json")
-    sets = sets_of(name)
+    check_new(given.out, f"{given.experiment}.json")
+    name, sets = given.experiment, sets_of(given.experiment)
     material = trained(name, given.out, given.epochs, sets)
     print({key: percent(e, SETS) for key, e in errors_of(material, sets, solve=False).items()})
 

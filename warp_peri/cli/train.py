@@ -82,8 +82,7 @@ def run_coarse_grain(given: Namespace) -> Said:
     force = np.stack([atom_forces(path, len(reference)) for path in given.force])
     mass = dumps.read_masses(given.reference, given.mass) if given.mass else 1.0
     points = dataclasses.replace(sheet, x=sheet.x + reference.mean(axis=0))
-    how = chosen(given, "radius", "spacing")
-    omega = smoothing_matrix(reference, points.x, box=box, **how)
+    omega = smoothing_matrix(reference, points.x, box=box, **chosen(given, "radius", "spacing"))
     atoms = dumps.ReferenceAtoms(reference, mass, frame.ids, box)
     how = chosen(given, "thickness", "skip", "progress") | {"unloaded": given.unloaded or []}
     how |= {"force": force, "node_area": given.spacing**2}
@@ -152,16 +151,16 @@ def run_fit(given: Namespace) -> Said:
     """Fit a material to data; writes model.json, metrics.json and the settings to a folder."""
     data = load_dataset(given.data, units=given.units)
     made = {"data_provenance": data.provenance, "sha256": hash_of(given.data)}
-    samples, noise = data[given.set], None if given.noise is None else data[given.noise]
+    samples = data[given.set]
+    options: Values = {} if given.noise is None else {"noise": data[given.noise]}
     if given.horizon is None:
         given.horizon = float(usual_lengths("horizon", HORIZON, data.units))
     law = _law(given, data)
     with writing(given) as begin:
-        options: Values = {"noise": noise} if noise else {}
         run = train(law, samples, data.sets, progress=given.progress, **options)
         metrics, why = _metrics(run), []
         with contextlib.suppress(InputError):  # scattered points, too few samples, third order
-            found = warp_peri.diagnose(run.fit.material, samples, noise)
+            found = warp_peri.diagnose(run.fit.material, samples, **options)
             metrics["residual"] = {"why": found.sentence, **found.shares}
             shares = ", ".join(f"{name} {100 * one:.1f}" for name, one in found.shares.items())
             why = [f"why: {found.sentence}", f"shares of the squared residual [%]: {shares}"]
