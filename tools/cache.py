@@ -29,14 +29,20 @@ def digest(content: dict[str, Any], length: int = 20) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:length]
 
 
-def read_record(path: Path, kind: type[R]) -> R | None:
-    """Numbers and arrays of one shape, the fields of a dataclass, as `write_arrays` left them.
+def read_record(path: Path, kind: Callable[..., R]) -> R | None:
+    """Numbers and arrays of one shape, the fields of a dataclass, as `write_arrays` left them under
+    this name, which tells what determines them; or of a dict any arrays.
 
-    None when there is no file, with a warning when it is corrupt.
+    None when there is no file, with a warning when it is corrupt or another's. Files without a
+    mark, of before there were any, are taken as they are.
     """
     try:
-        content = read_arrays(path)
-        fields = {name: content[name] for name in inspect.get_annotations(kind)}
+        fields = read_arrays(path)
+        if fields.pop("mark", _mark(path, fields)) != _mark(path, fields):
+            raise ValueError("another's, or changed since it was written")
+        if not (names := inspect.get_annotations(kind)):
+            return kind(fields)
+        fields = {name: fields[name] for name in names}
         if len({value.shape for value in fields.values() if value.ndim}) > 1:
             raise ValueError("arrays do not fit each other")
         if not all(np.isfinite(value).all() for value in fields.values()):
@@ -50,11 +56,19 @@ def read_record(path: Path, kind: type[R]) -> R | None:
         return None
 
 
+def _mark(path: Path, arrays: dict[str, Any]) -> str:
+    """A hash of arrays by name and of the name of their file, which has one of their settings."""
+    told = hashlib.sha256(path.name.encode())
+    for name, one in sorted((name, np.asarray(one)) for name, one in arrays.items()):
+        told.update(f"{name} {one.dtype.str} {one.shape} ".encode() + one.tobytes())
+    return told.hexdigest()
+
+
 def write_arrays(path: Path, arrays: dict[str, Any]) -> None:
-    """Keep arrays by name, whole or not at all; OSError names the file."""
+    """Keep arrays by name, whole or not at all, with a mark; OSError names the file."""
     try:
         with whole_file(path) as temporary:
-            np.savez(temporary, **arrays)
+            np.savez(temporary, **arrays, mark=_mark(path, arrays))
     except OSError as error:
         raise OSError(f"cannot write {path}: {error}") from None
 
@@ -76,13 +90,12 @@ def check_made(path: Path, settings: dict[str, Any], *, overwrite: bool) -> bool
 
 
 def kept(path: Path, compute: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Arrays of a file by name; computed and put there where there is none, or a damaged one."""
-    try:
-        return read_arrays(path)
-    except (OSError, ValueError, KeyError):
-        arrays = compute()
-        write_arrays(path, arrays)
-        return arrays
+    """Arrays of a file by name; computed and put there where there is none, or, with a warning, a
+    damaged one or another's."""
+    arrays: dict[str, np.ndarray] | None = read_record(path, dict)
+    if arrays is None:
+        write_arrays(path, arrays := compute())
+    return arrays
 
 
 def in_parallel(

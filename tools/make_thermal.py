@@ -97,13 +97,13 @@ def make_thermal(
         raise InputError(f"factors: expected numbers > 0, got {list(factors)}")
     if not reductions or not set(reductions) <= set(REDUCTIONS):
         raise InputError(f"reduction: expected of {', '.join(REDUCTIONS)}, got {list(reductions)}")
-    plans = graphene_plans() if plans is None else plans
+    given, plans = plans, graphene_plans() if plans is None else plans
     out, paths = Path(out), dict[tuple[str, float], Path]()
     for reduction, factor in product(reductions, factors):
         path = out / file_name(bath.temperature, reduction, factor)
         if path in paths.values() and (reduction, factor) not in paths:
             raise InputError(f"factors: expected such as differ in six digits, got {list(factors)}")
-        check_made(path, settings(bath, reduction, factor, fine), overwrite=overwrite)
+        check_made(path, settings(bath, reduction, factor, fine, given), overwrite=overwrite)
         paths[reduction, factor] = path
     cache = out / "graphene_0K.cache" if cache is None else Path(cache)
     cache.mkdir(parents=True, exist_ok=True)
@@ -112,15 +112,27 @@ def make_thermal(
         for (reduction, factor), path in paths.items():
             how: dict[str, Any] = {"reduction": reduction, "factor": factor, "fine": fine}
             data = data_set(plans, runs, at_rest, bath, **how)
+            data.provenance.update(said := settings(bath, **how, plans=given))
             with locked(path):  # which another job may have made meanwhile
-                if not check_made(path, settings(bath, **how), overwrite=overwrite):
+                if not check_made(path, said, overwrite=overwrite):
                     save_dataset(path, data)
     return paths
 
 
-def settings(bath: Bath, reduction: str, factor: float, fine: bool) -> dict[str, Any]:
-    """What a data set's provenance says of how it was made."""
-    return asdict(bath) | {"reduction": reduction, "factor": factor, "fine": fine or None}
+def settings(
+    bath: Bath, reduction: str, factor: float, fine: bool, plans: Sequence[Plan] | None = None
+) -> dict[str, Any]:
+    """What a data set's provenance says of how it was made; `plans`: other than the paper's."""
+    runs = (
+        None
+        if plans is None
+        else [
+            f"{Path(body.potential).name} {body.bond:.9g} {body.cells} {body.radius} {told}"
+            for body, *told in (vars(plan).values() for plan in plans)
+        ]
+    )
+    how = {"reduction": reduction, "factor": factor, "fine": fine or None, "plans": runs}
+    return asdict(bath) | how
 
 
 def file_name(temperature: float, reduction: str, factor: float) -> str:

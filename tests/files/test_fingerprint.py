@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial, update_wrapper
 from pathlib import Path
-from types import SimpleNamespace
+from types import FunctionType, SimpleNamespace
 
 import h5py
 import numpy as np
@@ -26,7 +26,7 @@ from scipy.spatial import cKDTree
 import warp_peri as wp
 from tests.support.problems import OTHER, kernel, lattice, manufactured, on_interior, within
 from tests.support.told import refused
-from warp_peri.files.checkpoint import AllNodes, RunFile, fingerprint
+from warp_peri.files.checkpoint import AllNodes, ArrayFile, RunFile, fingerprint
 
 
 def differ(one, other):
@@ -136,6 +136,9 @@ def test_materials_settings_functions_and_objects_count_by_what_they_hold():
 
     filled = Filled()
     assert filled.made == 1
+    for last, two in enumerate(rings := [([1], [2]), ([1], [2])]):
+        two[0].append(two[1])
+        two[1].append(two[last])
 
     for pair in (
         (solid, replace(solid, mu=solid.mu * (1 + 1e-15))),
@@ -163,6 +166,8 @@ def test_materials_settings_functions_and_objects_count_by_what_they_hold():
         (lambda *t: t, lambda t: t),
         (lambda **t: t, lambda t: t),
         (Gained(gain=1.0), Gained(gain=2.0)),
+        [first for first, _ in rings],
+        [FunctionType(above.__code__, {"__name__": of}) for of in ("pytest", "pluggy")],
     ):
         differ(*pair)
     for hidden in (splu(eye_array(2).tocsc()).solve, np.frompyfunc(abs, 1, 1), (n for n in x)):
@@ -170,6 +175,7 @@ def test_materials_settings_functions_and_objects_count_by_what_they_hold():
     for one, again in (
         (hardening(1.0), hardening(1.0)),
         (Filled(), filled),
+        ({1: even, 2: odd}, {2: odd, 1: even}),
         (lambda phi: LOG.writerow([phi]), lambda phi: LOG.writerow([phi])),
         (of_class(np), of_class(np)),
         (wrapped(0.3), wrapped(0.3)),
@@ -179,6 +185,7 @@ def test_materials_settings_functions_and_objects_count_by_what_they_hold():
         assert fingerprint(one) == fingerprint(again)
 
 
+even, odd = lambda n: n == 0 or odd(n - 1), lambda n: n > 0 and even(n - 1)
 LIMIT, SCALE, POWERS, LOG = {"above": 0.3}, 1.0, np.poly1d([1.0]), csv.writer(sys.stderr)
 
 
@@ -216,6 +223,15 @@ def test_what_a_function_reads_inside_and_through_others_counts(monkeypatch):
         before = fingerprint(not_read)
         monkeypatch.setitem(globals(), "mean", before)
         assert fingerprint(not_read) == before
+
+
+def test_arrays_of_another_run_are_told_under_this_key_too(tmp_path):
+    one, other = (ArrayFile(tmp_path / "state.h5", key, "") for key in "ab")
+    one.write({})
+    with h5py.File(one.path, "r+") as file:
+        file.attrs["key"] = "b"
+    with refused("not what was written"):
+        other.read({})
 
 
 def test_a_motion_from_rest_is_of_one_material_and_one_crack(tmp_path):
@@ -256,7 +272,7 @@ def test_a_checkpoint_has_the_last_step_and_what_was_written(tmp_path):
         assert values["steps"] == steps
     whole, both = path.read_bytes(), {"u": u, "v": u}
     for wrong, words in (
-        ({"data": 1.5 * u}, "the contents are not what was written"),
+        ({"data": 1.5 * u, "compression": "gzip"}, "the contents are not what was written"),
         # whose bytes as they lie are addresses
         ({"data": np.full(u.shape, b"text", dtype=h5py.string_dtype())}, "u holds no numbers"),
         ({"shape": (10**11, 2), "dtype": "f8", "chunks": (10, 2)}, "not a readable checkpoint"),

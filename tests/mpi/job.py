@@ -9,10 +9,10 @@ import hashlib
 import json
 import os
 import sys
-import time
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
+from time import sleep
 
 import numpy as np
 
@@ -224,7 +224,7 @@ def crack(folder, steps="60", pause="0"):
         glass, plate, step=0.5 * glass.longest_step(1.0), steps=int(steps), every=20,
         no_fail=np.abs(x[:, 1]) > 7,
         watch={"worst": lambda phi:
-               time.sleep(1e6 * os.path.isfile(os.environ["HELD"])) or phi.max()},
+               sleep(1e6 * os.path.isfile(os.environ["HELD"])) or phi.max()},
         checkpoint=folder / "state.h5", checkpoint_every=1, series=folder / "series",
     )  # fmt: skip
     names = "elastic", "work", "worst"

@@ -111,40 +111,41 @@ def test_waves_go_on_with_another_number_of_ranks_with_the_same_bits(d, jobs, fo
     assert one["energy"] == approx(alone.energy, rel=1e-12, abs=0)
 
 
+REFUSED = """points: expected Points, got a piece
+points: expected all bonds of every interior node, got 768 of 2704
+step: expected at most 0.0025
+interior: expected at least one interior node, got none
+material: expected a linear solid or a crystal on ranks, got DiffusionMat
+solve: expected tensors without a gradient, which only a Dirichlet, a Periodic and a Cracked of
+solve: expected options among none, got comm
+points: expected a lattice
+simulate: expected no pressure on ranks
+ranks: expected at most 1 for 8 × 52 nodes, slabs of 8 rows, got 2
+no_fail: expected bool values, got int64
+load: expected values everywhere, got
+interior: expected values everywhere, got
+points: expected a piece as it was made
+points: expected Points, got a rank's piece
+points: expected Points, got a piece
+solution: stress, energy, samples and plots are not had on ranks
+solution: stress, energy, samples and plots are not had on ranks
+operator: energy and stress are not had on ranks
+points: expected Points(x, interior, spacing), got None
+None
+values: expected float values, got masked
+points: expected Points for an Injected, which is not had on ranks
+None
+spacing: the model is certified on 1 Å, not on 0.5 Å
+/
+step: expected a whole number ≥ 0, got 2.5
+time: expected a finite number, got nan
+a: expected shape [
+a: expected float values, got masked
+fields: expected names that XML holds, got 'a<b'"""
+
+
 def test_what_does_not_fit_is_refused_on_all_ranks(jobs):
-    for said, words in zip(jobs[2]["refused"], (
-        "points: expected Points, got a piece",
-        "points: expected all bonds of every interior node, got 768 of 2704",
-        "step: expected at most 0.0025",
-        "interior: expected at least one interior node, got none",
-        "material: expected a linear solid or a crystal on ranks, got DiffusionMat",
-        "solve: expected tensors without a gradient, which only a Dirichlet, a Periodic and a "
-        "Cracked of one process have",
-        "solve: expected options among none, got comm",
-        "points: expected a lattice",
-        "simulate: expected no pressure on ranks",
-        "ranks: expected at most 1 for 8 × 52 nodes, slabs of 8 rows, got 2",
-        "no_fail: expected bool values, got int64",
-        "load: expected values everywhere, got",
-        "interior: expected values everywhere, got",
-        "points: expected a piece as it was made",
-        "points: expected Points, got a rank's piece",
-        "points: expected Points, got a piece",
-        *["solution: stress, energy, samples and plots are not had on ranks"] * 2,
-        "operator: energy and stress are not had on ranks",
-        "points: expected Points(x, interior, spacing), got None",
-        "None",
-        "values: expected float values, got masked",
-        "points: expected Points for an Injected, which is not had on ranks",
-        "None",
-        "spacing: the model is certified on 1 Å, not on 0.5 Å",
-        "/",  # motion.pvd is there
-        "step: expected a whole number ≥ 0, got 2.5",
-        "time: expected a finite number, got nan",
-        "a: expected shape [",
-        "a: expected float values, got masked",
-        "fields: expected names that XML holds, got 'a<b'",
-    ), strict=True):  # fmt: skip
+    for said, words in zip(jobs[2]["refused"], REFUSED.split("\n"), strict=True):
         assert str(said).startswith(words)
     door = jobs[2]["door"]  # before anything is sent
     assert len(door) == 9
@@ -200,6 +201,14 @@ def test_an_error_on_one_rank_ends_all_with_one_line(jobs):
     said = jobs[2]["said"]
     assert said.count("error: ranks: expected all here, each with") == said.count("error: ") == 1
     assert "Traceback" not in said
+
+
+@parametrize("status, said, end", [(1, "rank 1 has left: no", "c.rank and 'no'"), (3, "", "3")])
+def test_a_rank_that_leaves_ends_all_but_all_may_leave(status, said, end):
+    code = f"import sys; from warp_peri.mpi import world; c = world(); {end} and sys.exit({end})"
+    line = [MPIEXEC, "-n", "2", sys.executable, "-c", f"{code}; c.Barrier()"]
+    done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, timeout=LIMIT)
+    assert (done.returncode, done.stderr.partition("\n")[0]) == (status, said)
 
 
 @slow

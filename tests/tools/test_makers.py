@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import replace
+from shutil import copy
 from subprocess import run
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.random import default_rng
 
 import tools.make_graphene as tool
 import warp_peri as wp
-from tests.support import ROOT, approx, near, refused, sup
+from tests.support import ROOT, approx, near, refused, sup, warned
 from tests.support.nonlinear import strain
 from tests.support.problems import difference, fitted_order, normal, slope
 from tools import samples
@@ -25,7 +26,7 @@ from tools.make_hgo import Material, make_hgo, sample
 from tools.make_thermal import make_thermal, settings
 from tools.samples import Piece
 from tools.statics import TOLERANCE, ColouredHessian, ConvergenceError, Statics
-from tools.thermal import Bath, Task, run_file
+from tools.thermal import Bath, Task, graphene_plans, run_file
 from warp_peri.atoms.calculators import potential_file
 from warp_peri.core.elastic import plane_isotropic, voigt, voigt_to_tensor
 from warp_peri.points.dataset import load_dataset
@@ -136,11 +137,15 @@ def test_data_of_several_processes_resume_and_replace_no_others(here):
     assert made().returncode == 0
     data, alone = load_dataset(here / "a.v1.h5"), make_hgo(here / "b", counts=(2, 1, 0, 0), jobs=1)
     assert all(np.array_equal(data[name].u, alone[name].u) for name in ("train", "val"))
+    copy(*sorted((here / "b").iterdir())[:2])
+    with warned("another's, or changed"):
+        make_hgo(here / "b", counts=(2, 1, 0, 0), jobs=1)
     assert "a.v1.h5: is there already, not by these" in made("--seed", "7").stderr
     assert "a.v1.h5 is there already" in made().stdout
     wp.save("graphene_300K_plain_f1.h5", replace(data, provenance=settings(Bath(), "plain", 1, 0)))
-    with refused("f1.h5: is there already"):
-        make_thermal(here, bath=Bath(iota=0.1), reductions=["plain"])
+    for other in ({"bath": Bath(iota=0.1)}, {"plans": graphene_plans()[:1]}):
+        with refused("f1.h5: is there already"):
+            make_thermal(here, reductions=["plain"], **other)
 
 
 def test_third_order_elements_have_the_stress_of_their_energy():

@@ -3,10 +3,6 @@ first writes it, in the order of the whole body: the same from any number of the
 
 from __future__ import annotations
 
-import dataclasses
-import dis
-import hashlib
-import inspect
 import json
 import os
 import re
@@ -15,11 +11,15 @@ import sysconfig
 from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import fields, is_dataclass
+from dis import get_instructions, hasconst
 from functools import cache, cached_property
+from hashlib import sha256
 from importlib import import_module
+from inspect import CO_NESTED, iscode, isfunction, ismodule, isroutine
 from pathlib import Path
 from types import CellType, FunctionType
-from typing import Any, TypeAlias, cast
+from typing import Any, cast
 from weakref import WeakKeyDictionary
 
 import h5py
@@ -37,19 +37,39 @@ BY_TEXT = {"attrgetter", "eval", "exec", "getattr", "globals", "hasattr", "vars"
 """By what code reads a name that it has as text."""
 COPIED = "__reduce__", "__reduce_ex__", "__getstate__"
 """By what an object says how it is copied."""
-CODE = "code consts names varnames argcount posonlyargcount kwonlyargcount exceptiontable"
-"""What code is told by."""
+CODE = "names varnames argcount posonlyargcount kwonlyargcount exceptiontable"
+"""What code is told by, beside its instructions and the constants they read."""
 QUIET = (
-    "_csv", "_queue", "_thread", "concurrent.", "logging", "matplotlib.axes", "matplotlib.cbook",
-    "matplotlib.figure", "matplotlib.image", "matplotlib.lines", "multiprocessing", "sqlite3",
-    "threading", "tqdm", "weakref",
-)  # fmt: skip
+    "_csv _queue _thread concurrent. logging matplotlib.axes matplotlib.cbook matplotlib.figure "
+    "matplotlib.image matplotlib.lines multiprocessing sqlite3 threading tqdm weakref"
+)
 """Modules whose objects change as they draw, write and wait, and decide no number."""
+UNORDERED = Mapping, set, frozenset
 _OWN = f"{sysconfig.get_path('stdlib')}/", f"{Path(__file__).parents[1]}/"
 HOMES = ("/site-packages/", "/dist-packages/", *_OWN)
 """Parts of paths of installed packages, of Python's own modules and of this library's."""
+TRUSTED = "h5py matplotlib meshio numpy scipy torch tqdm warp warp_peri"
+"""Installed packages of which no other version is looked for: those that the library works with."""
 OF_A_FIT = "sha256", "certificate", "proven", "provenance", "versions", "errors"
 """Of a material's file, which a second fit of the same numbers has otherwise."""
+
+
+def nodal_fingerprint(nodes: Any, *parts: Any) -> str:
+    """Fingerprint of what arrays, of rows on these nodes or more, have on the own ones, whoever
+    owns them, and of other values as printed."""
+    number = np.arange(nodes.count) if nodes.number is None else nodes.number[nodes.own]
+    arrays = [part[nodes.own][: len(number)] for part in parts if isinstance(part, np.ndarray)]
+    others = [part for part in parts if not isinstance(part, np.ndarray)]
+    marks = np.zeros((len(arrays), 2), np.uint64)
+    with np.errstate(over="ignore"):
+        start = _mixed(number.astype(np.uint64))
+        for mark, array in zip(marks, arrays):
+            flat, mixed = np.ascontiguousarray(array + 0.0, float).reshape(len(number), -1), start
+            for column in flat.view(np.uint64).T:
+                mixed = _mixed(mixed ^ column)
+            mark[:] = mixed.sum(), _mixed(mixed).sum()
+        sums = np.sum(nodes.comm.allgather(marks), axis=0)
+    return sha256(sums.tobytes()).hexdigest() + repr(others)
 
 
 class AllNodes:
@@ -64,6 +84,7 @@ class AllNodes:
     own: Any = slice(None)
     number: np.ndarray | None = None
     comm: Any = ALONE
+    mark = nodal_fingerprint
 
     def __init__(self, count: int) -> None:
         self.count = count
@@ -75,27 +96,6 @@ class AllNodes:
     def gather(self, values: np.ndarray) -> np.ndarray:
         """Values [n, ...] of the own nodes gathered on all nodes of the body."""
         return values
-
-    def mark(self, *parts: Any) -> str:
-        """Fingerprint of arrays [N or more, ...] on the nodes, and of other values as printed."""
-        return nodal_fingerprint(self.comm, np.arange(self.count), slice(self.count), *parts)
-
-
-def nodal_fingerprint(comm: Any, number: np.ndarray, own: Any, *parts: Any) -> str:
-    """Fingerprint of what arrays have on their `own` nodes, of these global numbers, whoever owns
-    them, and of other values as printed."""
-    arrays = [part[own] for part in parts if isinstance(part, np.ndarray)]
-    others = [part for part in parts if not isinstance(part, np.ndarray)]
-    marks = np.zeros((len(arrays), 2), np.uint64)
-    with np.errstate(over="ignore"):
-        start = _mixed(number.astype(np.uint64))
-        for mark, array in zip(marks, arrays):
-            flat, mixed = np.ascontiguousarray(array + 0.0, float).reshape(len(number), -1), start
-            for column in flat.view(np.uint64).T:
-                mixed = _mixed(mixed ^ column)
-            mark[:] = mixed.sum(), _mixed(mixed).sum()
-        sums = np.sum(comm.allgather(marks), axis=0)
-    return hashlib.sha256(sums.tobytes()).hexdigest() + repr(others)
 
 
 def _mixed(x: np.ndarray) -> np.ndarray:
@@ -115,77 +115,74 @@ def fingerprint(*parts: Any) -> str:
     that it reads; other objects with their attributes; numbers alike whatever type they are of. The
     version of the library counts, too. What only C knows, as a factorisation, differs.
     """
-    return _digest((__version__, *parts), {}).hex()
+    leaves, holders, todo = dict[int, bytes](), dict[int, Any](), [parts := (__version__, *parts)]
+    for part in todo:  # which keeps each, lest another gets its id
+        if id(part) not in leaves:
+            said, held = _spelled(part)
+            leaves[id(part)] = told = sha256(said).digest()
+            if held:
+                holders[id(part)] = told, held, sorted if isinstance(part, UNORDERED) else list
+                todo += held
+    count, marks = 0, dict.fromkeys(holders, b"")
+    while len(classes := {*marks.values()}) > count:  # by what is one step further within
+        count, known, marks = len(classes), leaves | marks, {}
+        for n, (told, held, order) in holders.items():
+            marks[n] = sha256(told + b"".join(order(known[id(one)] for one in held))).digest()
+    return sha256(b"".join([marks[id(parts)], *sorted(classes)])).hexdigest()
 
 
-Known: TypeAlias = dict[int, tuple[Any, bytes]]
-"""Values by id, kept lest another gets it, and their hashes."""
-
-
-def _digest(part: Any, known: Known) -> bytes:
-    """Hash of a value; `known` are those met before by id, kept lest another gets it: what several
-    hold is looked at once, and what holds itself ends there."""
-    if id(part) not in known:
-        known[id(part)] = part, b"above"
-        digest = hashlib.sha256()
-        for text in _spelled(part, known):
-            digest.update(f"{len(text)}:".encode() + text)
-        known[id(part)] = part, digest.digest()
-    return known[id(part)][1]
-
-
-def _spelled(part: Any, known: Known) -> Iterator[bytes]:
-    """Bytes that tell a value from others, at last the hashes of what it holds."""
-    kind, held = cast(Any, type(part)), list[Any]()
-    users, part = is_users(kind.__module__), _unwrapped(part)
+def _spelled(part: Any) -> tuple[bytes, list[Any]]:
+    """Bytes that tell a value from others, and what it holds."""
+    kind, said, data, held = cast(Any, type(part)), "", b"", list[Any]()
+    home, part = kind.__module__, _unwrapped(part)
     if isinstance(part, (int, np.integer, np.bool_)):
-        yield repr(int(part)).encode()
+        said = repr(int(part))
     elif isinstance(part, (float, complex, np.inexact)):
         number, real = complex(part), complex(part).real
         whole = int(real) if real.is_integer() and str(real) != "-0.0" else real
-        yield repr(number if number.imag else whole).encode()
+        said = repr(number if number.imag else whole)
     elif isinstance(part, np.ndarray) and part.dtype != object:
         part = part.astype(part.dtype.newbyteorder("="), copy=False)
-        yield from (f"{part.dtype}{part.shape}".encode(), part.tobytes())
+        said, data = f"{part.dtype}{part.shape}", part.tobytes()
         held = [getattr(part, "mask", None)]
     elif isinstance(part, Mapping):
-        held = sorted(_digest((key, part[key]), known) for key in part)
-        held += [getattr(part, "default_factory", None)]
-    elif isinstance(part, (set, frozenset)):  # each as if it were met first
-        yield b"set"
-        held = sorted(_digest(one, {**known}) for one in part)
+        held = [*((key, part[key]) for key in part), getattr(part, "default_factory", None)]
+    elif isinstance(part, UNORDERED):
+        said, held = "set", [*part]
     elif isinstance(part, (list, tuple, deque, np.ndarray)):
-        yield f"{len(part)} of".encode()
-        held = [*part]
-    elif inspect.iscode(part):
-        held = [getattr(part, f"co_{name}") for name in CODE.split()]
-        held += [part.co_flags & ~inspect.CO_NESTED]
-    elif inspect.isfunction(part):
+        said, held = f"{len(part)} of", [*part]
+    elif iscode(part):
+        steps = [(s.opcode in hasconst, s) for s in get_instructions(part)]
+        said = repr([(s.opcode, fixed or s.arg) for fixed, s in steps])
+        held = [[s.argval for fixed, s in steps if fixed], part.co_flags & ~CO_NESTED]
+        held += [getattr(part, f"co_{name}") for name in CODE.split()]
+    elif isfunction(part):
+        home = part.__globals__.get("__name__")
         held = [part.__code__, part.__defaults__, part.__kwdefaults__, vars(part), _read_by(part)]
     elif isinstance(part, (str, bytes, os.PathLike)):
-        yield repr(os.fspath(part)).encode()
-    elif inspect.ismodule(part) or isinstance(part, type):
+        said = repr(os.fspath(part))
+    elif ismodule(part) or isinstance(part, type):
         home = getattr(part, "__module__", part.__name__)
-        yield f"{home} {part.__name__}".encode()
+        said = f"{home} {part.__name__}"
         if is_users(home):
-            own = {n: v for n, v in vars(part).items() if n[:2] != "__" or inspect.isroutine(v)}
+            own = {n: v for n, v in vars(part).items() if n[:2] != "__" or isroutine(v)}
             held = [own, getattr(part, "__bases__", ())]
     elif hasattr(kind, "content"):
         held = [_lasting(part.content()), getattr(part, "unfiled", {})]
-    elif dataclasses.is_dataclass(part):
-        yield kind.__name__.encode()
-        held = [(one.name, getattr(part, one.name, None)) for one in dataclasses.fields(part)]
+    elif is_dataclass(part):
+        said = kind.__name__
+        held = [(one.name, getattr(part, one.name, None)) for one in fields(part)]
     else:
-        yield kind.__name__.encode()
-        if not str(kind.__module__).startswith(QUIET):
+        said = kind.__name__
+        if not str(kind.__module__).startswith(tuple(QUIET.split())):
             held = [_attributes(part), [getattr(part, n, None) for n in HELD if hasattr(kind, n)]]
             held += _copied(part, any(held))
+    held += installed(home)
     if hasattr(kind, "state_dict"):  # of networks
         held += [part.state_dict()]
-    if users:  # it may be a subclass of any of these
+    if is_users(kind.__module__):  # it may be a subclass of any of these
         held += [kind, {n: one for n, one in _attributes(part).items() if n not in OF_A_FIT}]
-    for one in held:
-        yield _digest(one, known)
+    return said.encode() + data, held
 
 
 def _copied(part: Any, told: bool) -> Any:
@@ -241,8 +238,8 @@ def _read_by(function: FunctionType) -> Values:
         for inner in code:  # those of what is defined inside, too
             names |= {*inner.co_names}
             texts |= {one for one in inner.co_consts if isinstance(one, str)}
-            code += filter(inspect.iscode, inner.co_consts)
-            for step in dis.get_instructions(inner):
+            code += filter(iscode, inner.co_consts)
+            for step in get_instructions(inner):
                 if step.opname in ("LOAD_GLOBAL", "LOAD_NAME"):
                     loaded.add(step.argval)
                 if step.opname == "IMPORT_NAME":
@@ -253,10 +250,10 @@ def _read_by(function: FunctionType) -> Values:
     for place, (space, wanted) in enumerate(spaces):
         for name in sorted(wanted & space.keys()):
             one = space[name]
-            if inspect.ismodule(one):
+            if ismodule(one):
                 if is_users(one.__name__) and all(vars(one) is not other for other, _ in spaces):
                     spaces += [(vars(one), names | loaded)]
-                one = one.__name__
+                one = one.__name__, installed(one.__name__)
             read[f"{place} {name}"] = one
     return read
 
@@ -267,6 +264,19 @@ def is_users(module: Any) -> bool:
     file = getattr(sys.modules.get(module), "__file__", None)
     known = any(home in file for home in HOMES) if file else module in sys.stdlib_module_names
     return isinstance(module, str) and (module == "__main__" or not known)
+
+
+@cache
+def installed(module: Any) -> list[str]:
+    """What tells the version of the installed package of a module: a hash of all its Python files;
+    nothing of the user's own, of Python's and of those that are TRUSTED."""
+    file = str(getattr(sys.modules.get(module), "__file__", None))
+    before, found, inside = file.rpartition("-packages/")
+    top = Path(before + found, inside.split("/")[0])
+    if not found or top.stem in TRUSTED.split():
+        return []
+    files = sorted(filter(Path.is_file, {*top.rglob("*.py"), Path(file)}))
+    return [sha256(b"".join(map(Path.read_bytes, files))).hexdigest()]
 
 
 def _lasting(content: Any) -> Any:
@@ -348,7 +358,7 @@ class ArrayFile:
         """Write a checkpoint's arrays, or values that make them."""
         if self.path is not None:
             made = {name: np.asarray(one) for name, one in arrays.items()}
-            write_arrays(self.path, made, {"key": self.key, "mark": fingerprint(made)})
+            write_arrays(self.path, made, {"key": self.key, "mark": fingerprint(self.key, made)})
 
     def read(self, like: Values) -> Arrays | None:
         """Arrays of the checkpoint, which fit others (rows_like); None where there is no file yet;
@@ -357,7 +367,7 @@ class ArrayFile:
             return None
         told = f"the checkpoint of {self.other}"
         arrays, mark = read_arrays(self.path, like, ("key", self.key, told))
-        if mark != fingerprint(arrays):
+        if mark != fingerprint(self.key, arrays):
             raise InputError(f"{self.path}: not a readable checkpoint (not what was written)")
         return arrays
 
@@ -413,9 +423,10 @@ def read_arrays(path: StrPath, like: Values, told: Any, nodes: Any = None) -> tu
                 if one.dtype.kind not in "biufc":  # bytes of anything else would be pointers
                     raise ValueError(f"{name} holds no numbers")
                 rows = rows_like(name, one, want, nodes)
-                if one.size:
-                    one = np.memmap(path, one.dtype, "r", one.id.get_offset(), one.shape)[rows]
-                found[name] = np.array(one)
+                offset = one.id.get_offset()
+                plain = one.size and offset is not None  # as written, not packed by another
+                whole = np.memmap(path, one.dtype, "r", offset, one.shape) if plain else one[()]
+                found[name] = np.array(whole[rows])
                 if np.isnan(found[name]).any():
                     raise ValueError(f"{name} is no number somewhere")
             return found, str(file.attrs["mark"])

@@ -13,12 +13,12 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NoReturn, TypeAlias
 
 import numpy as np
 
 from warp_peri import errors
-from warp_peri.errors import InputError, Shape, agreed
+from warp_peri.errors import InputError, Shape, Values, agreed
 from warp_peri.points.arguments import ArrayMap
 from warp_peri.runtime import DEVICE, get_num_threads, ranks_started, set_num_threads, shared_by
 from warp_peri.solvers.systems import HERE, Inner
@@ -28,6 +28,10 @@ Comm: TypeAlias = Any
 GRACE = 0.5
 """Seconds that the first rank has to speak, where all meet the same error."""
 ENDED = "ranks: expected all here, each with its piece, but another's script has ended"
+ENDING: Values = {}
+"""Of this rank: the `status` that sys.exit was given, and whether there were `pieces`."""
+PATIENCE = 30.0
+"""Seconds that a rank that leaves with a status other than 0 gives the others to leave, too."""
 THREADS = get_num_threads()
 """Before anybody says a number."""
 
@@ -65,7 +69,8 @@ def world() -> Comm:
         if get_num_threads() == THREADS:
             set_num_threads(1)
         errors.LAST_WORDS.append(functools.partial(_ended, comm))
-        sys.excepthook = functools.partial(_uncaught, comm)
+        sys.excepthook, sys.exit = functools.partial(_uncaught, comm), _leave
+        atexit.register(_at_end, comm)
         if comm.rank:
             sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115 (until the end)
     return comm
@@ -98,12 +103,27 @@ def _uncaught(comm: Comm, kind: type[BaseException], error: BaseException, trace
     _ended(comm, f"rank {comm.rank}: " * (not known) + "".join(lines).rstrip(), 2 if known else 1)
 
 
-@functools.cache
-def tell_ends() -> None:
-    """Let a rank that ends, as with whole points, say so where others wait for it to agree."""
-    from mpi4py.MPI import Is_finalized as over
+def _leave(*status: Any) -> NoReturn:
+    ENDING.update(status=status[0] if status else None)
+    raise SystemExit(*status)
 
-    atexit.register(lambda: over() or [*iter(lambda: {*world().allgather(ENDED)}, {ENDED})])
+
+def _at_end(comm: Comm) -> None:
+    """As a rank's script ends. Where sys.exit told an error, all end, unless the others leave as
+    well; once there are pieces, those that wait for this rank to agree are told that it ended."""
+    from mpi4py.MPI import Is_finalized
+
+    if Is_finalized():
+        return
+    if status := ENDING.get("status"):
+        left, code = comm.Ibarrier(), status if isinstance(status, int) else 1
+        until = time.monotonic() + PATIENCE * isinstance(status, int)
+        while not left.Test():
+            if time.monotonic() > until:
+                _ended(comm, f"rank {comm.rank} has left: {status}", code)
+            time.sleep(GRACE / 10)
+    while ENDING.get("pieces") and {*comm.allgather(ENDED)} != {ENDED}:
+        pass
 
 
 def together() -> AbstractContextManager[None]:
@@ -205,7 +225,7 @@ def cut(comm: Comm, shape: Shape, rows: int) -> Slabs:
             f"ranks: expected at most {count} for {' × '.join(map(str, shape))} nodes, slabs of "
             f"{rows} rows, got {ranks}"
         )
-    tell_ends()
+    ENDING["pieces"] = True
     starts = np.minimum(rows * (count * np.arange(ranks + 1) // ranks), shape[0])
     return Slabs(tuple(map(int, shape)), rows, starts)
 

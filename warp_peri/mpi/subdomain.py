@@ -6,9 +6,9 @@ displacement comes from their owners after each drift: bonds break here as they 
 
 from __future__ import annotations
 
-import itertools
-import math
 from dataclasses import dataclass, field, fields
+from itertools import count
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -51,7 +51,7 @@ SLAB, FEW = 8, 50_000
 """Least rows of a slab; nodes of a level that every rank can have, to which slabs can be halved."""
 FIELDS = "load", "held", "grip", "no_fail", "u", "v"
 """Of a body that breaks, on nodes."""
-NUMBERS = itertools.count(1)
+NUMBERS = count(1)
 """Of bodies, which the ranks make together."""
 _OF_A_WHOLE = "box", "outside", "is_open_lattice", "lattice", "rows"
 
@@ -85,8 +85,8 @@ class Subdomain(InSpace):
     units: Units = USUAL
     axis: Any = None
     which: int = field(default=0, init=False)
-    own = slice(None)
-    """Of the nodes that belong to this rank: all."""
+    own, mark = slice(None), nodal_fingerprint
+    """Of the nodes that belong to this rank: all; and what tells fields on them."""
 
     def numbered(self) -> Subdomain:
         """The piece as the next body that the ranks make together."""
@@ -96,10 +96,6 @@ class Subdomain(InSpace):
     def sum(self, values: np.ndarray) -> np.ndarray:
         """Sum values [k, ...] over all ranks, shape [...], with the same bits on any number."""
         return total(self.comm, values)
-
-    def mark(self, *parts: Any) -> str:
-        """Fingerprint of arrays [n, ...] on these nodes, and of other values as printed."""
-        return nodal_fingerprint(self.comm, self.number, slice(None), *parts)
 
     def solve(self, material: Any, problem: Any, solver: Solver, options: Options) -> Solution:
         """Solve a Dirichlet problem at rest; u and load are those of this rank's nodes. Raises
@@ -185,6 +181,8 @@ class NodeHalo:
     [n]; count, sum and gather are the piece's.
     """
 
+    mark = nodal_fingerprint
+
     def __init__(self, piece: Subdomain, reach: float) -> None:
         self.piece, self.count = piece, piece.count
         self.sum, self.gather = piece.sum, piece.gather
@@ -204,10 +202,6 @@ class NodeHalo:
         self.own = places[0]
         self._give = [(r, self.own[nodes]) for r, nodes in enumerate(given) if len(nodes)]
         self._take = [(r, nodes) for r, nodes in enumerate(places[1:]) if len(nodes)]
-
-    def mark(self, *parts: Any) -> str:
-        """Fingerprint, as Subdomain.mark, of arrays [m or more, ...] on the nodes here."""
-        return nodal_fingerprint(self.comm, self.piece.number, self.own, *parts)
 
     def exchange(self, field: np.ndarray) -> None:
         """Fill others' nodes in a field [m or more, ...] from their owners."""
@@ -264,7 +258,7 @@ def lattice(
         check_units(units)
     if not any(comm.allgather(inside.any())):
         raise InputError("interior: expected at least one interior node, got none")
-    parts = x, inside, float(spacing), number, math.prod(shape), grid, slabs, units, axis
+    parts = x, inside, float(spacing), number, prod(shape), grid, slabs, units, axis
     return Subdomain(comm, *parts).numbered()
 
 
