@@ -9,6 +9,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 import torch
+from numpy import ndarray
 from numpy.typing import ArrayLike
 
 from warp_peri.core.record import FieldUnits, Length, Record, Stress
@@ -48,17 +49,17 @@ class FlowOperator(OperatorBase):
     matrix: sp.csr_array
     march = stepped  # ∂φ/∂t = −L φ + b by implicit steps (theory, Di4)
 
-    def force(self, u: np.ndarray) -> np.ndarray:
+    def force(self, u: ndarray) -> ndarray:
         """Force L u on the interior, [..., I, …], of u [..., N, …]; InputError for other shapes."""
         lead, flat = self._flat(self.as_fields(u))
         return np.asarray((flat @ self.matrix.T).reshape(*lead, -1, *self.shape[1:]))
 
-    def vjp(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
+    def vjp(self, u: ndarray, w: ndarray) -> ndarray:
         """Transposed product Lᵗ w on all nodes, [..., N, …], of w on the interior, [..., I, …]."""
         lead, flat = self._flat(self.of_interior(w, u))
         return np.asarray((flat @ self.matrix).reshape(*lead, *self.shape))
 
-    def _flat(self, fields: np.ndarray) -> tuple[Shape, np.ndarray]:
+    def _flat(self, fields: ndarray) -> tuple[Shape, ndarray]:
         """Leading shape of fields, and these as rows."""
         lead = fields.shape[: fields.ndim - len(self.shape)]
         return lead, fields.reshape(math.prod(lead), -1)
@@ -72,7 +73,7 @@ class FlowOperator(OperatorBase):
         components = math.prod(self.shape[1:])
         return self.matrix.tocsc()[:, np.repeat(self.points.interior, components)]
 
-    def transposed(self, g: np.ndarray) -> np.ndarray:
+    def transposed(self, g: ndarray) -> ndarray:
         """L⁻ᵗ g of loads on the interior, flat [S, …]."""
         return MatrixProblem(self.matrix, self.points.interior).factors.solve(g.T, "T").T
 
@@ -154,12 +155,12 @@ class DiffusionOperator(FlowOperator):
             kappa = 2 / sum(1 / kappa[end] for end in self._ends)
         return torch.as_tensor(v * kappa)
 
-    def _along_bonds(self, kappa: ArrayMap) -> np.ndarray:
+    def _along_bonds(self, kappa: ArrayMap) -> ndarray:
         """Conductivity κ of each bond, its parts in series (Di2), shape [E]."""
         points, (near, far) = self.points, self._ends
         xi = nearest(points.x[far] - points.x[near], points.box)
 
-        def along(place: float) -> np.ndarray:
+        def along(place: float) -> ndarray:
             values = called(f"kappa: {OF_POSITIONS}", kappa, points.x[near] + place * xi)
             return np.broadcast_to(_conductivities(values, len(near), "position"), len(near))
 
@@ -196,7 +197,7 @@ class DiffusionOperator(FlowOperator):
         return DiffusionOperator(replace(self.model, **own), self.points, kappa=kappa)
 
     @own_torch()
-    def by_numbers(self, name: str, u: np.ndarray, w: np.ndarray) -> np.ndarray:
+    def by_numbers(self, name: str, u: ndarray, w: ndarray) -> ndarray:
         """Derivative of Σ w · L φ by one parameter, of fields [K, N] and weights [K, I]."""
         (near, far), (u, w) = self._ends, self.pairs(u, w)
         work = ((u[:, near] - u[:, far]) * w[:, self._owner[self._kept]]).sum(axis=0)
@@ -204,7 +205,7 @@ class DiffusionOperator(FlowOperator):
         strengths, work = self._strengths(**numbers), torch.from_numpy(work)
         return np.asarray(torch.autograd.grad(strengths, numbers[name], work)[0])
 
-    def energy(self, u: np.ndarray) -> np.ndarray | None:
+    def energy(self, u: ndarray) -> ndarray | None:
         """Energy h^d (½ φ_I·L φ_I + φ_I·L φ_C), shape [...]; None on scattered points."""
         return None if self.points.spacing == 0 else self.quadratic(u)
 
@@ -217,7 +218,7 @@ def _tensors(numbers: Numbers) -> dict[str, torch.Tensor]:
     return {n: torch.tensor(v, dtype=torch.float64, requires_grad=True) for n, v in numbers.items()}
 
 
-def _conductivities(given: Any, count: int, place: str) -> np.ndarray:
+def _conductivities(given: Any, count: int, place: str) -> ndarray:
     """Check one conductivity, or one a place."""
     values = checked("conductivity", given)
     if values.shape not in ((), (count,)):
@@ -244,7 +245,7 @@ class DiffusionMaterial(Record, format="warp_peri.conductor"):
     horizon: Length
     conductivity: Annotated[float, FieldUnits(length=2, stress=1, positive=True)]
     alpha: float = 1.0
-    D: np.ndarray = field(default_factory=lambda: np.ones(1))
+    D: ndarray = field(default_factory=lambda: np.ones(1))
     units: Units = USUAL
     dimension: ClassVar[int] = 2
 
@@ -389,7 +390,7 @@ class CoupledOperator(FlowOperator):
         return self._storage
 
     @own_torch()
-    def storage_slopes(self, names: list[str], rates: np.ndarray, w: np.ndarray) -> Values:
+    def storage_slopes(self, names: list[str], rates: ndarray, w: ndarray) -> Values:
         """Derivatives of Σ w · storage() rates by parameters, of rates [K, N, 3], w [K, I, 3]."""
         numbers = _tensors(self.learnable)
         phi = torch.from_numpy(self.on_all(w)[..., 2])

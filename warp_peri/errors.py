@@ -13,7 +13,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import numpy as np
+from numpy import ndarray
 
 StrPath: TypeAlias = str | os.PathLike[str]
 """Path of a file or folder."""
@@ -21,9 +21,9 @@ Rows: TypeAlias = list[tuple[str, str]]
 """Name and value of each line of a summary table."""
 Values: TypeAlias = dict[str, Any]
 """Values by name."""
-Several: TypeAlias = tuple[np.ndarray, ...]
+Several: TypeAlias = tuple[ndarray, ...]
 """Arrays, which a docstring tells apart."""
-Arrays: TypeAlias = dict[str, np.ndarray]
+Arrays: TypeAlias = dict[str, ndarray]
 """Arrays by name."""
 Shape: TypeAlias = tuple[int, ...]
 """Of an array or grid: whole numbers, one for each axis."""
@@ -201,7 +201,7 @@ class Shown:
 class InSpace:
     """Base of what has positions x, shape [N, d]."""
 
-    x: np.ndarray
+    x: ndarray
 
     @property
     def dimension(self) -> int:
@@ -212,7 +212,7 @@ class InSpace:
 def hold(frozen: Any, **fields: Any) -> None:
     """Set fields of a frozen dataclass, arrays as read-only copies, so that proofs stay true."""
     for name, value in fields.items():
-        if isinstance(value, np.ndarray):
+        if isinstance(value, ndarray):
             value = value.copy()
             value.flags.writeable = False
         object.__setattr__(frozen, name, value)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy import ndarray
 from numpy.linalg import eigvalsh, norm, trace
 
 from warp_peri.core.elastic import symmetric_part
@@ -32,7 +33,7 @@ AROUND = {
 
 
 @typed
-def write_vtk(folder: StrPath, model: Any, points: Samples, u: np.ndarray) -> list[Path]:
+def write_vtk(folder: StrPath, model: Any, points: Samples, u: ndarray) -> list[Path]:
     """Write displacement, errors and nodal stress of samples for ParaView.
 
     Points are the nodes; four neighbours on a lattice make a quadrilateral, in space eight a
@@ -88,7 +89,7 @@ def write_body(path: StrPath, body: BodySolution) -> dict[str, float]:
     }
 
 
-def _samples(model: Any, points: Samples, u: np.ndarray) -> list[Arrays]:
+def _samples(model: Any, points: Samples, u: ndarray) -> list[Arrays]:
     """Point data of each sample."""
     inside = _inside(model, points, u)
     return [
@@ -103,7 +104,7 @@ def _samples(model: Any, points: Samples, u: np.ndarray) -> list[Arrays]:
     ]
 
 
-def _inside(model: Any, points: Samples, u: np.ndarray) -> Arrays:
+def _inside(model: Any, points: Samples, u: ndarray) -> Arrays:
     """Fields at interior nodes, [S, I, …]: of an LPS, transferred unless certified nowhere, all."""
     if isinstance(linear := getattr(model, "linear", None), LPSMaterial):
         if linear.certified_on and points.spacing > 0:
@@ -121,20 +122,20 @@ def _inside(model: Any, points: Samples, u: np.ndarray) -> Arrays:
     return found
 
 
-def _tensor(field: np.ndarray) -> np.ndarray:
+def _tensor(field: ndarray) -> ndarray:
     """Six components of ParaView's symmetric tensors: XX, YY, ZZ, XY, YZ, XZ."""
     full = np.pad(field, [(0, 0)] * (field.ndim - 2) + [(0, 3 - field.shape[-1])] * 2)
     places = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
     return np.stack([full[..., a, c] for a, c in places], axis=-1)
 
 
-def _everywhere(points: PointsLike, values: np.ndarray) -> np.ndarray:
+def _everywhere(points: PointsLike, values: ndarray) -> ndarray:
     out = np.full((len(points.x), *values.shape[1:]), np.nan)
     out[points.interior] = values
     return out
 
 
-def _cells(points: PointsLike) -> tuple[str, np.ndarray]:
+def _cells(points: PointsLike) -> tuple[str, ndarray]:
     """Cells of a lattice along the axes whose corners are all there, else vertices."""
     vertices = "vertex", np.arange(len(points.x))[:, None]
     if points.spacing == 0:

@@ -15,6 +15,7 @@ from inspect import signature
 from typing import TYPE_CHECKING, Any, Protocol, Self, overload
 
 import numpy as np
+from numpy import ndarray
 
 import warp_peri.core as core
 from warp_peri.errors import InputError, Shape, Values, quietly
@@ -55,19 +56,19 @@ class Operator(Protocol):
     def __call__(self, u: Any) -> Any:
         """Minus the internal force density [stress/length] on the interior nodes, [..., I, d]."""
 
-    def rhs(self, b: np.ndarray) -> np.ndarray:
+    def rhs(self, b: ndarray) -> ndarray:
         """Right-hand side on the interior nodes for a body force b [..., N, d]; [..., I, d]."""
 
-    def jvp(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    def jvp(self, u: ndarray, v: ndarray) -> ndarray:
         """Derivative of the operator at u along v, shape [..., I, d]."""
 
-    def vjp(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
+    def vjp(self, u: ndarray, w: ndarray) -> ndarray:
         """Transposed derivative at u times w [..., I, d], on all nodes [..., N, d]."""
 
-    def energy(self, u: np.ndarray) -> np.ndarray | None:
+    def energy(self, u: ndarray) -> ndarray | None:
         """Elastic energy, with ∂(energy)/∂u_i = h^d op(u)_i; None for a law without."""
 
-    def stress(self, u: np.ndarray) -> np.ndarray | None:
+    def stress(self, u: ndarray) -> ndarray | None:
         """Stress at the interior nodes, shape [..., I, d, d]; None where a law has none."""
 
     def solve(self, b: Any, u: Any, solver: Any) -> Any:
@@ -91,7 +92,7 @@ class Remade:
 
 def _kept(value: Any) -> Any:
     """The points of samples; a copy of values that are often changed afterwards."""
-    if isinstance(value, np.ndarray | list | dict):
+    if isinstance(value, ndarray | list | dict):
         with suppress(TypeError):  # of what has no copies, which checks refuse
             return deepcopy(value)
     return value.points if isinstance(value, Samples) else value
@@ -134,7 +135,7 @@ class OperatorBase(Remade):
     networks: tuple[Any, ...] = ()
     """Parameters of torch that the material itself holds."""
     points: Any
-    force: Callable[[Any], np.ndarray]
+    force: Callable[[Any], ndarray]
     """The force of fields of NumPy."""
 
     @property
@@ -143,7 +144,7 @@ class OperatorBase(Remade):
         return tuple(self.points.x.shape)
 
     @overload
-    def __call__(self, u: np.ndarray) -> np.ndarray: ...
+    def __call__(self, u: ndarray) -> ndarray: ...
     @overload
     def __call__(self, u: Tensor) -> Tensor: ...
     @uncompiled
@@ -151,13 +152,13 @@ class OperatorBase(Remade):
         """Minus the internal force density on the interior; InputError for another shape."""
         return self.force_torch(u) if is_tensor(u) else self.force(u)
 
-    def jvp(self, u: Any, v: Any) -> np.ndarray:
+    def jvp(self, u: Any, v: Any) -> ndarray:
         """Derivative of the force at u along v, [..., I, d]; the force of v if linear."""
         if u is not None:
             self.as_fields(u)
         return self.force(v)
 
-    def rhs(self, b: Any) -> np.ndarray:
+    def rhs(self, b: Any) -> ndarray:
         """Right-hand side: b on the interior nodes, [..., I, d]."""
         load = checked("b", b, float, (..., *self.shape), ~self.held)
         return np.compress(self.points.interior, load, axis=-len(self.shape))
@@ -182,7 +183,7 @@ class OperatorBase(Remade):
         return core.torch_bridge.at_rest(self, b, u, solver, parameters)
 
     @property
-    def held(self) -> np.ndarray:
+    def held(self) -> ndarray:
         """Which components of fields are given in a solve, of a shape that broadcasts to [N, d]."""
         return np.asarray(~self.points.interior.reshape(-1, *[1] * (len(self.shape) - 1)))
 
@@ -196,16 +197,16 @@ class OperatorBase(Remade):
                 f"shape {list(given)}"
             )
 
-    def fields(self, u: Any) -> np.ndarray:
+    def fields(self, u: Any) -> ndarray:
         """Convert u to fields of finite numbers, [S, N, d]."""
         return self.as_fields(checked("u", u)).reshape(-1, *self.shape)
 
-    def as_fields(self, u: Any) -> np.ndarray:
+    def as_fields(self, u: Any) -> ndarray:
         """Convert u to fields, [..., N, d], whose values may be anything; they may run away."""
         self.check(values := plain("u", u))
         return values
 
-    def quadratic(self, u: Any) -> np.ndarray:
+    def quadratic(self, u: Any) -> ndarray:
         """Energy h^d (½ u_I·L u_I + u_I·L u_C) of a linear force on a lattice, shape [...]."""
         u, held, of = self.as_fields(u), self.held, self.points
         axes = tuple(range(-len(self.shape), 0))
@@ -213,7 +214,7 @@ class OperatorBase(Remade):
         inner = np.compress(of.interior, u, axes[0])
         return np.asarray(of.spacing**of.dimension * (inner * (own / 2 + collar)).sum(axis=axes))
 
-    def of_interior(self, w: Any, u: Any = None) -> np.ndarray:
+    def of_interior(self, w: Any, u: Any = None) -> ndarray:
         """Check w on the interior nodes, [..., I, d], and a u on all; InputError for others."""
         if u is not None:
             self.as_fields(u)
@@ -231,7 +232,7 @@ class OperatorBase(Remade):
         check_shape("w, on u", weights, (len(fields), *weights.shape[1:]))
         return fields, weights
 
-    def on_all(self, w: Any) -> np.ndarray:
+    def on_all(self, w: Any) -> ndarray:
         """Extend fields of the interior nodes [..., I, d] to all by zeros, [..., N, d]."""
         w, rest = self.of_interior(w), len(self.shape)
         fields = np.zeros((*np.shape(w)[:-rest], *self.shape))

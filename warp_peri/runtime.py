@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy import ndarray
 
 from warp_peri.errors import InputError
 
@@ -163,7 +164,7 @@ def sharing() -> Any:
     return _sharing[-1] if _sharing else None
 
 
-def in_blocks(work: Callable[[np.ndarray], np.ndarray], rows: np.ndarray) -> np.ndarray:
+def in_blocks(work: Callable[[ndarray], ndarray], rows: ndarray) -> ndarray:
     """Apply `work` to rows in blocks of at most BLOCK, joined; blocks do not depend on the number
     of ranks, and so the result has the same bits on any."""
     blocks = np.array_split(rows, -(-len(rows) // BLOCK) or 1)
@@ -242,7 +243,7 @@ def zeros(*shape: int, dtype: Any = wp.float64) -> wp.array[Any]:
     return wp.zeros(shape, dtype=dtype, device=DEVICE)
 
 
-def ints(values: np.ndarray, dtype: Any = wp.int32) -> wp.array[Any]:
+def ints(values: ndarray, dtype: Any = wp.int32) -> wp.array[Any]:
     """Make an int32 Warp array; shares memory with an int32 NumPy array."""
     return floats(np.ascontiguousarray(values, dtype=np.int32), dtype)
 
@@ -255,7 +256,7 @@ def filled(struct: Any, *values: Any) -> Any:
     return instance
 
 
-def floats(values: np.ndarray, dtype: Any = wp.float64) -> wp.array[Any]:
+def floats(values: ndarray, dtype: Any = wp.float64) -> wp.array[Any]:
     """Make a Warp array of scalars or vectors; shares memory with `values` where it can."""
     return wp.array(values, dtype=dtype, device=DEVICE, copy=False)
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy import ndarray
 from numpy.linalg import norm
 
 from warp_peri.core.elastic import central_weights
@@ -28,7 +29,7 @@ REACH = 4
 
 
 def check_material(
-    material: Any, points: Points, u: np.ndarray, *, read: Callable[[Path], Any] = load
+    material: Any, points: Points, u: ndarray, *, read: Callable[[Path], Any] = load
 ) -> None:
     """Run all checks below on a material.
 
@@ -46,14 +47,14 @@ def check_material(
     check_file(material, points, u, read=read)
 
 
-def check_force(operator: Any, u: np.ndarray) -> None:
+def check_force(operator: Any, u: ndarray) -> None:
     """Check the force's shape, that translation causes none, and that fields do not mix."""
     f, shift = operator(u), np.full_like(u, np.abs(u).max())
     assert_near(operator(shift), 0 * u[operator.points.interior], 1e-11, np.abs(f).max())
     assert_near(operator(np.stack([shift, u]))[1], f, 1e-13)
 
 
-def check_energy(operator: Any, u: np.ndarray) -> None:
+def check_energy(operator: Any, u: ndarray) -> None:
     """Check that the force is the derivative of the energy, where there is one."""
     if operator.energy(u) is None:
         return
@@ -63,7 +64,7 @@ def check_energy(operator: Any, u: np.ndarray) -> None:
 
 
 def check_product(
-    operator: Any, u: np.ndarray, *, step: float = STEP, tolerance: float = 1e-8
+    operator: Any, u: ndarray, *, step: float = STEP, tolerance: float = 1e-8
 ) -> None:
     """Check that `jvp` is the force's derivative, `vjp` its transpose, and torch's gradient."""
     v, w = _direction(operator, u, 1), np.random.default_rng(2).normal(size=operator(u).shape)
@@ -76,7 +77,7 @@ def check_product(
     assert_near(found.numpy(), back, 1e-12)
 
 
-def check_units(material: Any, points: Points, u: np.ndarray, other: Units = ("nm", "GPa")) -> None:
+def check_units(material: Any, points: Points, u: ndarray, other: Units = ("nm", "GPa")) -> None:
     """Check that force, stress and the material are the same after a change of units and back."""
     operator, there = material.on(points), material.in_units(other)
     length, stress = factors(points.units, other)
@@ -89,7 +90,7 @@ def check_units(material: Any, points: Points, u: np.ndarray, other: Units = ("n
 
 
 def check_file(
-    material: Any, points: Points, u: np.ndarray, *, read: Callable[[Path], Any] = load
+    material: Any, points: Points, u: ndarray, *, read: Callable[[Path], Any] = load
 ) -> None:
     """Check that a material that was saved and read again gives the same bits."""
     with TemporaryDirectory() as folder:
@@ -106,7 +107,7 @@ def assert_near(actual: Any, expected: Any, tolerance: float, size: float | None
     np.testing.assert_allclose(actual, expected, rtol=0, atol=limit, equal_nan=False)
 
 
-def _direction(operator: Any, u: np.ndarray, seed: int) -> np.ndarray:
+def _direction(operator: Any, u: ndarray, seed: int) -> ndarray:
     """A rough field on the interior, as large as u."""
     v = np.random.default_rng(seed).uniform(-1, 1, size=u.shape)
     return np.where(operator.points.interior[:, None], v * np.abs(u).max(), 0.0)

@@ -9,6 +9,7 @@ from typing import Any
 
 import ase
 import numpy as np
+from numpy import ndarray
 from numpy.linalg import det, eigh, inv, lstsq, norm, pinv, solve, svd
 from scipy.spatial.transform import Rotation
 
@@ -117,7 +118,7 @@ def measured(cell: ase.Atoms, calculator: Any, flat: bool) -> Noise:
     sides = [[one for a in ANGLES if (one := told(sign, a)) is not None] for sign in (1, -1)]
     force, stress = (np.array([[one[n] for one in side] for side in sides]) for n in (0, 1))
 
-    def scatter(values: np.ndarray) -> float:
+    def scatter(values: ndarray) -> float:
         return float(np.sqrt(values.var(axis=1, ddof=1).mean()))
 
     known = np.isfinite(stress).all()
@@ -134,7 +135,7 @@ def measured(cell: ase.Atoms, calculator: Any, flat: bool) -> Noise:
     return replace(found, rough=bent)
 
 
-def strained(calculator: Any, cell: ase.Atoms, turns: np.ndarray) -> Iterator[ase.Atoms]:
+def strained(calculator: Any, cell: ase.Atoms, turns: ndarray) -> Iterator[ase.Atoms]:
     """Yield a cell under each of the deformation gradients [K, 3, 3], with the calculator."""
     for F in turns:
         one = cell.copy()
@@ -143,7 +144,7 @@ def strained(calculator: Any, cell: ase.Atoms, turns: np.ndarray) -> Iterator[as
         yield one
 
 
-def unit_strains(d: int) -> np.ndarray:
+def unit_strains(d: int) -> ndarray:
     """Unit strains in Voigt's order, [k, 3, 3]; a shear has half of it on both sides."""
     return symmetric_part(np.array([np.outer(*np.eye(3)[list(pair)]) for pair in PAIRS[d]]))
 
@@ -164,7 +165,7 @@ def bent_by_strain(cell: ase.Atoms, calculator: Any, flat: bool, noise: float) -
     return float(share) if off > 2 * TIMES * error * slopes[0].size ** 0.5 else 0.0
 
 
-def _directions(rng: np.random.Generator, count: int, size: float) -> np.ndarray:
+def _directions(rng: np.random.Generator, count: int, size: float) -> ndarray:
     u = rng.standard_normal((count, 3))
     return np.asarray(size * u / norm(u, axis=1, keepdims=True))
 
@@ -186,7 +187,7 @@ class Symmetric(Supercell):
         basis = found.compression_matrix.tocsr()[rows.ravel()].toarray().T
         self.basis = (count / len(cell)) ** 0.5 * basis.reshape(-1, len(cell), count, 3, 3)
 
-    def forces(self, u: np.ndarray) -> np.ndarray:
+    def forces(self, u: ndarray) -> ndarray:
         """Forces −Φ u on all atoms by each Φ of the basis, for u [N, 3], shape [3 N, M]."""
         pulled = np.einsum("mijab,ljb->iaml", self.basis, u[self.translations], optimize=True)
         forces = np.empty((len(u), 3, len(self.basis)))
@@ -205,7 +206,7 @@ class Symmetric(Supercell):
         if atoms.stress is not None:
             held[: atoms.dimension, : atoms.dimension] = atoms.stress / EV_IN_TPA
 
-        def broken(values: np.ndarray) -> np.ndarray:
+        def broken(values: ndarray) -> ndarray:
             zeroth, first, second = atoms.moments(values)
             second = second + 2 * atoms.volume * stress_brackets(held)
             huang = (second - np.moveaxis(second, (-4, -3), (-2, -1))) / furthest**2
@@ -218,7 +219,7 @@ class Symmetric(Supercell):
 
 
 def projected(
-    cell: ase.Atoms, many: ase.Atoms, phi: np.ndarray, displaced: Sequence[int], **how: Any
+    cell: ase.Atoms, many: ase.Atoms, phi: ndarray, displaced: Sequence[int], **how: Any
 ) -> ForceConstants:
     """Nearest force constants that obey symmetry and invariance; the change is their error. What
     they have at half the supercell's width should have decayed, and is an error too."""
@@ -292,7 +293,7 @@ def rattled(
 
 
 def by_strains(
-    cell: ase.Atoms, calculator: Any, noise: Noise, atoms: ForceConstants, allowed: np.ndarray
+    cell: ase.Atoms, calculator: Any, noise: Noise, atoms: ForceConstants, allowed: ndarray
 ) -> Pair | None:
     """Elastic tensor C_ijkl [TPa] by finite strains with relaxed atoms, and its standard errors.
 
@@ -332,7 +333,7 @@ def by_strains(
         Lambda = (Lambda - Lambda.mean(axis=0))[:, :m].reshape(n * m, d, d)
         onto = pinv(allowed.reshape(len(allowed), -1).T)
 
-        def relaxed(values: np.ndarray | None = None) -> Pair:
+        def relaxed(values: ndarray | None = None) -> Pair:
             """Reduction of C by relaxing atoms, and its errors."""
             stiff = atoms.moments(values)[0][:, :m, :, :m].reshape(n * m, n * m)
             moved = np.tensordot(relaxing(stiff, m), Lambda, 1)
@@ -349,7 +350,7 @@ def by_strains(
     return C, np.array([*errors, *off] if rough else errors)
 
 
-def _under_strain(cell: ase.Atoms, calculator: Any, e: np.ndarray, atoms: ForceConstants) -> Pair:
+def _under_strain(cell: ase.Atoms, calculator: Any, e: ndarray, atoms: ForceConstants) -> Pair:
     """S [TPa] and forces [eV/Å] under strains of sizes e, [2, E, kinds, 3 or 6 | n, 3]."""
     d, n, flat = atoms.dimension, len(cell), atoms.thickness is not None
     G = np.eye(3) + np.einsum("e,s,kij->eksij", e, [1, -1], unit_strains(d))
@@ -362,7 +363,7 @@ def _under_strain(cell: ase.Atoms, calculator: Any, e: np.ndarray, atoms: ForceC
     return S, np.reshape(pushes, (*G.shape[:3], -1, n, 3)).mean(axis=3).transpose(2, 0, 1, 3, 4)
 
 
-def _slope(y: np.ndarray, e: np.ndarray, secant: bool) -> tuple[np.ndarray, float, float]:
+def _slope(y: ndarray, e: ndarray, secant: bool) -> tuple[ndarray, float, float]:
     """Slopes a of y = a e + b e³, their standard error, and that over y's; b is 0 of a secant."""
     X = e[:, None] if secant else np.column_stack([e, e**3])
     flat, P = y.reshape(len(e), -1), pinv(X)
@@ -373,12 +374,7 @@ def _slope(y: np.ndarray, e: np.ndarray, secant: bool) -> tuple[np.ndarray, floa
 
 
 def joined(
-    atoms: ForceConstants,
-    allowed: np.ndarray,
-    C: np.ndarray,
-    errors: np.ndarray,
-    *,
-    shared: int = 0,
+    atoms: ForceConstants, allowed: ndarray, C: ndarray, errors: ndarray, *, shared: int = 0
 ) -> tuple[ForceConstants, float, float]:
     """Force constants moved by their own errors until their moduli agree with C (R. Kalman).
 
@@ -390,7 +386,7 @@ def joined(
     other, seen = onto @ C.ravel(), onto @ atoms.nearest_elastic(allowed)[0].ravel()
     off = other - seen
 
-    def compared() -> tuple[np.ndarray, float]:
+    def compared() -> tuple[ndarray, float]:
         J = onto @ atoms.elastic_doubt(allowed).reshape(-1, onto.shape[1]).T
         return J, float(off @ pinv(J @ J.T + own @ own.T) @ off) / len(allowed)
 

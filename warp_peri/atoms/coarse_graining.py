@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 import scipy.io
 import scipy.sparse as sp
+from numpy import ndarray
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
@@ -135,7 +136,7 @@ def coarse_grain(
     return u, np.array([omega @ one for one in pushed]) * (EV_IN_TPA / (node_area * thickness))
 
 
-def masses_of(mass: ArrayLike, atoms: int) -> np.ndarray:
+def masses_of(mass: ArrayLike, atoms: int) -> ndarray:
     """Check the masses of so many atoms, [A] or one of all; returns [A]."""
     each = checked("mass", mass, shape=(atoms,) if as_array("mass", mass).ndim else ())
     if not np.all(each > 0):
@@ -143,9 +144,7 @@ def masses_of(mass: ArrayLike, atoms: int) -> np.ndarray:
     return np.full(atoms, each)
 
 
-def _images(
-    atoms: np.ndarray, nodes: np.ndarray, radius: float, box: tuple[float, float] | None
-) -> Pair:
+def _images(atoms: ndarray, nodes: ndarray, radius: float, box: tuple[float, float] | None) -> Pair:
     """Positions [Å] of the atoms and periodic images within reach of a node, and their atoms."""
     low, high = nodes.min(0) - radius, nodes.max(0) + radius
     images, owner = atoms, np.arange(len(atoms))
@@ -161,14 +160,14 @@ def _images(
     return images[near], owner[near]
 
 
-def _tau(nodes: np.ndarray, atoms: np.ndarray, radius: float, shape: str) -> sp.csr_array:
+def _tau(nodes: ndarray, atoms: ndarray, radius: float, shape: str) -> sp.csr_array:
     pairs = cKDTree(nodes).sparse_distance_matrix(cKDTree(atoms), radius, output_type="ndarray")
     r = pairs["v"]
     tau = radius - r if shape == "cone" else radius**2 - r**2
     return sp.csr_array((tau, (pairs["i"], pairs["j"])), shape=(len(nodes), len(atoms)))
 
 
-def _positions(name: str, value: ArrayLike) -> np.ndarray:
+def _positions(name: str, value: ArrayLike) -> ndarray:
     value = checked(name, value, shape=("N", 2))
     if not len(value):
         raise InputError(f"{name}: expected shape [N, 2] with N > 0, got [0, 2]")
@@ -257,7 +256,7 @@ def _variables(path: Path, names: Sequence[str]) -> Arrays:
     return held
 
 
-def _components_last(path: Path, held: Arrays, name: str, nodes: int) -> np.ndarray:
+def _components_last(path: Path, held: Arrays, name: str, nodes: int) -> ndarray:
     """A field on the nodes with its components last, shape [S, N, 2]."""
     field = held[name].astype(float)
     last = field.shape[-1] == 2

@@ -10,6 +10,7 @@ from typing import Any
 import ase
 import numpy as np
 from matplotlib.figure import Figure
+from numpy import ndarray
 from numpy.linalg import eigh, eigvalsh, inv, norm
 
 from warp_peri.atoms.calculator_noise import PULLED, SMALLER, by_strains, joined
@@ -68,7 +69,7 @@ class CrystalFit(Shown):
 
     material: CrystalMaterial
     atoms: ForceConstants
-    strained: np.ndarray | None
+    strained: ndarray | None
     said: dict[str, str]
 
     @property
@@ -82,12 +83,12 @@ class CrystalFit(Shown):
         return self.material.in_units(USUAL)
 
     @cached_property
-    def tensor(self) -> np.ndarray:
+    def tensor(self) -> ndarray:
         """Elastic tensor C_ijkl [TPa] of the atoms' long waves, [d, d, d, d]."""
         return self.atoms.elastic(_allowed(self.atoms, self.material.symmetry))
 
     @cached_property
-    def errors(self) -> np.ndarray:
+    def errors(self) -> ndarray:
         """Independent standard errors of `tensor` [TPa], [Q, d, d, d, d], none where unknown. Of an
         exact potential the difference between finite strains and long waves."""
         if self.atoms.doubt is not None:
@@ -113,7 +114,7 @@ class CrystalFit(Shown):
         return lambda k: acoustic(brackets, k)
 
     @property
-    def wave_lengths(self) -> np.ndarray:
+    def wave_lengths(self) -> ndarray:
         """Wavelengths that are compared [spacings], falling to two, shape [80]."""
         return 2 * np.pi / np.linspace(0.05, np.pi, SIZES)
 
@@ -229,19 +230,19 @@ class CrystalFit(Shown):
         }
 
 
-def with_errors(C: np.ndarray, errors: np.ndarray) -> dict[str, tuple[float, float]]:
+def with_errors(C: ndarray, errors: ndarray) -> dict[str, tuple[float, float]]:
     """Elastic moduli [GPa] of C [TPa] by name, each with its standard error of [Q, d, d, d, d]."""
     M = 1e3 * norm(voigt(errors), axis=0)
     at, moduli = ("123456" if len(C) == 3 else "124").index, named_moduli(1e3 * C)
     return {name: (c, float(M[at(name[1]), at(name[2])])) for name, c in moduli.items()}
 
 
-def _written(C: np.ndarray, errors: np.ndarray) -> str:
+def _written(C: ndarray, errors: ndarray) -> str:
     moduli = with_errors(C, errors).items()
     return ", ".join(f"{name} {value:.2f} ± {bar:.2g}" for name, (value, bar) in moduli) + " GPa"
 
 
-def _allowed(atoms: ForceConstants, symmetry: Symmetry) -> np.ndarray:
+def _allowed(atoms: ForceConstants, symmetry: Symmetry) -> ndarray:
     return allowed_tensors(symmetry, np.eye(atoms.dimension))
 
 
@@ -308,7 +309,7 @@ def fit_crystal(
 
 def with_strains(
     atoms: ForceConstants, reference: Reference, calculator: Any, symmetry: Symmetry
-) -> tuple[ForceConstants, np.ndarray | None, dict[str, str]]:
+) -> tuple[ForceConstants, ndarray | None, dict[str, str]]:
     """Join force constants with finite strains under noise; also returns these moduli and notes."""
     allowed, noise, rough = _allowed(atoms, symmetry), reference.noise, reference.noise.rough > 0
     found = by_strains(reference.cell, calculator, noise, atoms, allowed)
@@ -362,7 +363,7 @@ def _learned(
     symmetry: Symmetry,
     units: Units,
     said: dict[str, str],
-    strained: np.ndarray | None,
+    strained: ndarray | None,
 ) -> CrystalFit:
     """Fit the material; adds notes on force constants that depend on the supercell or the step."""
     said = said | ({} if atoms.thickness is None else {"thickness": f"{atoms.thickness:.4g} Å"})

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy import ndarray
 from numpy.linalg import lstsq, norm, pinv
 from scipy.ndimage import binary_erosion
 from scipy.spatial import cKDTree
@@ -58,9 +59,7 @@ NEAR, OFF, TIMES, DEEP = 12, 0.01, 6.0, 1.6
 differ from it, and in times of what a plane leaves of them; spacings to the first of them."""
 
 
-def read_table(
-    text: str, size: float, unit: str | None
-) -> tuple[np.ndarray, np.ndarray, str | None]:
+def read_table(text: str, size: float, unit: str | None) -> tuple[ndarray, ndarray, str | None]:
     """Reference positions and displacements [P, 2] from a table's text, and their unit of length.
 
     Rows with a missing number, failed correlation or a filler value for lost points are left out.
@@ -153,7 +152,7 @@ def _number(field: str, words: dict[str, float]) -> float:
         raise InputError(f"expected a number, got {field!r:.60}") from None
 
 
-def _factors(units: list[Any], size: float, unit: str | None) -> tuple[np.ndarray, str | None]:
+def _factors(units: list[Any], size: float, unit: str | None) -> tuple[ndarray, str | None]:
     """Factors that bring x, y, u and v to the unit of x, shape [4], and its name."""
     x, y, u, v = units
     words = [x, y or x, u or x, v or u or y or x]
@@ -170,7 +169,7 @@ def _factors(units: list[Any], size: float, unit: str | None) -> tuple[np.ndarra
     return np.array([one * (at / sizes[0]) for (_, one), at in zip(known, sizes)]), known[0][0]
 
 
-def filled_in(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+def filled_in(x: ndarray, u: ndarray) -> ndarray:
     """Mask of points whose displacement is a filler: 0, −1 or the most frequent value.
 
     A point is one where it leaves the plane of its neighbours; an isolated one needs both
@@ -219,8 +218,8 @@ class DICFrame:
     """One frame: reference positions and displacement [P, 2], its file's name and unit of length.
     The unit is None where it is unknown. Points without displacement are left out."""
 
-    x: np.ndarray
-    u: np.ndarray
+    x: ndarray
+    u: ndarray
     name: str
     length: str | None = None
 
@@ -316,7 +315,7 @@ def dic_to_lattice(
     return Samples(points, fields[:, there], arrays={} if seen.all() else {SEEN: seen})
 
 
-def surrounded(grid: np.ndarray, reach: int) -> np.ndarray:
+def surrounded(grid: ndarray, reach: int) -> ndarray:
     """Mask of the grid nodes whose surroundings to twice the reach are all there."""
     a, b = np.ogrid[-reach : reach + 1, -reach : reach + 1]
     ball = a**2 + b**2 <= reach**2
@@ -386,7 +385,7 @@ def in_reference(frames: Sequence[DICFrame], positions: str | None) -> list[DICF
     return back if positions == "current" else list(frames)
 
 
-def _apart(sets: list[np.ndarray]) -> float:
+def _apart(sets: list[ndarray]) -> float:
     """Largest distance [spacings] of positions from the first set's, or of one set to a lattice."""
     step = spacing_of(sets[0])
     if len(sets) == 1:
@@ -402,7 +401,7 @@ def by_number(path: Path) -> list[tuple[int, str]]:
     return [(int(part), "") if n % 2 else (-1, part) for n, part in enumerate(parts)]
 
 
-def spacing_of(x: np.ndarray) -> float:
+def spacing_of(x: ndarray) -> float:
     """Median distance of points to their nearest neighbour."""
     if len(x) < 2:
         raise InputError("frames: expected points on a lattice, got fewer than two")
@@ -413,7 +412,7 @@ def spacing_of(x: np.ndarray) -> float:
     return step
 
 
-def on_nodes(frame: DICFrame, x: np.ndarray, step: float, radius: float) -> Pair:
+def on_nodes(frame: DICFrame, x: ndarray, step: float, radius: float) -> Pair:
     """Displacement on nodes, [N, 2], NaN where points are too few; and the mask of nodes seen."""
     tree = cKDTree(frame.x)
     distance, nearest = tree.query(x)
@@ -437,8 +436,8 @@ def on_nodes(frame: DICFrame, x: np.ndarray, step: float, radius: float) -> Pair
 
 
 def surface(
-    frame: DICFrame, members: Sequence[int], x: np.ndarray, step: float, radius: float
-) -> np.ndarray | None:
+    frame: DICFrame, members: Sequence[int], x: ndarray, step: float, radius: float
+) -> ndarray | None:
     """Displacement at a position by a quadratic fit to points; None where they are too few."""
     p, q = local = (frame.x[members] - x).T / step
     weight = np.exp(-(local**2).sum(axis=0) / radius**2)
@@ -448,7 +447,7 @@ def surface(
 
 
 @typed
-def estimate_noise(samples: Samples) -> np.ndarray:
+def estimate_noise(samples: Samples) -> ndarray:
     """Standard deviation of the displacement noise of every frame [length], shape [S]. From fourth
     differences, 70 times the variance: subsets that overlap make the estimate too small."""
     steps = samples.lattice.steps

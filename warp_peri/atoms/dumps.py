@@ -17,6 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 from ase.io.extxyz import key_val_str_to_dict
 from ase.io.formats import filetype
+from numpy import ndarray
 from numpy.linalg import norm, pinv
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
@@ -59,12 +60,12 @@ class DumpFrame:
         unwrapped: whether positions go on beyond the box: columns xu or xsu, or images added.
     """
 
-    ids: np.ndarray
-    x: np.ndarray
-    types: np.ndarray | None
+    ids: ndarray
+    x: ndarray
+    types: ndarray | None
     columns: tuple[str, ...]
-    z: np.ndarray
-    cell: np.ndarray
+    z: ndarray
+    cell: ndarray
     unwrapped: bool = False
 
     @property
@@ -113,7 +114,7 @@ def iter_dump(path: StrPath) -> Iterator[DumpFrame]:
         raise InputError(f"{path}: expected {EXPECTED}; found no frame")
 
 
-def jumps(frame: DumpFrame, x: np.ndarray) -> bool:
+def jumps(frame: DumpFrame, x: ndarray) -> bool:
     """Whether any atom is half an edge of the box or more from positions x, shape [A, 2]."""
     edges = frame.cell[np.abs(frame.cell[:, :2]).max(axis=1) > ROUND * np.abs(frame.cell).max()]
     return bool((np.abs((frame.x - x) @ pinv(edges[:, :2])) >= 0.5).any())
@@ -188,7 +189,7 @@ def _of_items(items: dict[str, list[str]], columns: list[str], rows: list[str]) 
 
 
 def _ordered(
-    values: Values, x: np.ndarray, cell: np.ndarray, columns: Sequence[str], free: bool
+    values: Values, x: ndarray, cell: ndarray, columns: Sequence[str], free: bool
 ) -> DumpFrame:
     """Build a frame of columns by name with atoms by rising id, checked, unwrapped by their images
     unless their positions already are `free`."""
@@ -303,7 +304,7 @@ TORN, NEAR = 1.5, 1.3
 
 
 @typed
-def read_masses(path: StrPath, masses: Sequence[float]) -> np.ndarray:
+def read_masses(path: StrPath, masses: Sequence[float]) -> ndarray:
     """Mass of every atom of a dump's first frame, [A] by id, from the masses of types 1, 2, …"""
     frame = next(iter_dump(path))
     if frame.types is None:
@@ -324,7 +325,7 @@ def mean_displacement(
     ids: ArrayLike | None = None,
     box: tuple[float, float] | None = None,
     skip: Natural = 0,
-) -> np.ndarray:
+) -> ndarray:
     """Mean displacement from the reference [Å] over the frames of a dump, shape [A, 2].
 
     Args:
@@ -444,7 +445,7 @@ def coarse_grain_dumps(
     return Samples(nodes, u, b, {"load_id": np.array([Path(path).name for path in dumps])})
 
 
-def _warn_of_shares(force: np.ndarray, mass: np.ndarray) -> None:
+def _warn_of_shares(force: ndarray, mass: ndarray) -> None:
     """Warn where forces are not shared among species as their masses are."""
     kinds = np.unique(mass)
     if not force.size or len(kinds) > SPECIES:
@@ -458,9 +459,7 @@ def _warn_of_shares(force: np.ndarray, mass: np.ndarray) -> None:
         )
 
 
-def _warn_of_torn(
-    path: Path, x: np.ndarray, moved: np.ndarray, box: tuple[float, float] | None
-) -> None:
+def _warn_of_torn(path: Path, x: ndarray, moved: ndarray, box: tuple[float, float] | None) -> None:
     """Warn of neighbouring atoms that are further apart than nodes can follow."""
     near = cKDTree(x if box is None else x % box, boxsize=box).query(x, k=min(7, len(x)))[1][:, 1:]
     apart = nearest(x[near] - x[:, None], box)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from ase import Atoms
 from ase.build import make_supercell
+from numpy import ndarray
 from numpy.linalg import det, eigvalsh, inv, lstsq, norm, solve
 
 from warp_peri.core import elastic
@@ -68,8 +69,8 @@ class NonAnalyticCorrection:
     that is not symmetric and positive.
     """
 
-    born: np.ndarray
-    dielectric: np.ndarray
+    born: ndarray
+    dielectric: ndarray
     decay: arguments.NotNegative = 0.0
 
     def __post_init__(self) -> None:
@@ -88,8 +89,8 @@ class NonAnalyticCorrection:
             raise InputError(f"dielectric: expected a symmetric positive tensor, got {tensor}")
 
     def matrix(
-        self, k: np.ndarray, cell: np.ndarray, positions: np.ndarray, *, field: bool = True
-    ) -> np.ndarray:
+        self, k: ndarray, cell: ndarray, positions: ndarray, *, field: bool = True
+    ) -> ndarray:
         """Dipole–dipole matrix [eV/Å²], [K, n, 3, n, 3]; without macroscopic `field` smooth."""
         least = eigvalsh(self.dielectric)[0]
         furthest = 2 * self.decay * np.sqrt(NEGLECTED / least) + norms(k).max()
@@ -110,14 +111,14 @@ class NonAnalyticCorrection:
         D[:, atoms, :, atoms, :] -= ((zero + zero.conj().mT) / 2)[:, None]
         return D
 
-    def at_long_waves(self, e: np.ndarray, cell: np.ndarray) -> np.ndarray:
+    def at_long_waves(self, e: ndarray, cell: ndarray) -> ndarray:
         """Macroscopic field's part of D along unit vectors e [K, 3], shape [K, n, 3, n, 3]."""
         pull = np.einsum("kb,nba->kna", e, self.born)
         screened = np.einsum("ki,ij,kj->k", e, self.dielectric, e)
         factor = 4 * np.pi * COULOMB / abs(det(cell)) / screened
         return np.asarray(np.einsum("k,kia,kjb->kiajb", factor, pull, pull))
 
-    def _sums(self, k: np.ndarray, G: np.ndarray, cell: np.ndarray, positions: np.ndarray) -> Any:
+    def _sums(self, k: ndarray, G: ndarray, cell: ndarray, positions: ndarray) -> Any:
         """Sums of dipole interactions over the waves k + G, [n, 3, n, 3]."""
         K = k + G
         square = np.einsum("gi,ij,gj->g", K, self.dielectric, K)
@@ -154,21 +155,21 @@ class ForceConstants:
         cut: part of `values` at half the supercell's width, an error of moduli, or None.
     """
 
-    cell: np.ndarray
-    positions: np.ndarray
-    species: np.ndarray
-    pairs: np.ndarray
-    vectors: np.ndarray
-    values: np.ndarray
-    kinds: np.ndarray
+    cell: ndarray
+    positions: ndarray
+    species: ndarray
+    pairs: ndarray
+    vectors: ndarray
+    values: ndarray
+    kinds: ndarray
     thickness: float | None = None
     polar: NonAnalyticCorrection | None = None
-    stress: np.ndarray | None = None
+    stress: ndarray | None = None
     edge: float = 0.0
     change: float | None = None
-    doubt: np.ndarray | None = None
-    spread: np.ndarray | None = None
-    cut: np.ndarray | None = None
+    doubt: ndarray | None = None
+    spread: ndarray | None = None
+    cut: ndarray | None = None
 
     @property
     def dimension(self) -> int:
@@ -186,7 +187,7 @@ class ForceConstants:
         """Number of coordinates in which atoms move: 2 for a flat sheet, else 3."""
         return 2 if self.dimension == 2 and np.ptp(self.positions[:, 2]) < FLAT else 3
 
-    def dynamical(self, k: np.ndarray, moving: int | None = None) -> np.ndarray:
+    def dynamical(self, k: ndarray, moving: int | None = None) -> ndarray:
         """Stiffness matrix D_at(k) [eV/Å²] at k [1/Å], without masses, [K, n m, n m]. m is
         `moving`, by default the property; the mean height of a sheet's cell is held."""
         d, m, n = self.dimension, moving or self.moving, len(self.positions)
@@ -197,10 +198,10 @@ class ForceConstants:
         if m > d:
             D[:, :, 2, :, 2] += HELD * np.abs(self.values).max()
         flat = D.reshape(len(k), n * m, n * m)
-        hermitian: np.ndarray = (flat + flat.conj().mT) / 2
+        hermitian: ndarray = (flat + flat.conj().mT) / 2
         return hermitian
 
-    def stiffness_error(self, k: np.ndarray, waves: np.ndarray) -> Any:
+    def stiffness_error(self, k: ndarray, waves: ndarray) -> Any:
         """Standard errors [eV/Å²] of the stiffness of waves [..., n, m] at k [1/Å], or 0."""
         doubt, m = self.doubt if self.spread is None else self.spread, waves.shape[-1]
         if doubt is None:
@@ -210,7 +211,7 @@ class ForceConstants:
         ends = np.einsum("...ia,ijabq,...jb->...q", waves.conj(), off, waves, optimize=True)
         return norm(ends.real, axis=-1)
 
-    def effective(self, k: np.ndarray) -> np.ndarray:
+    def effective(self, k: ndarray) -> ndarray:
         """Stiffness D_eff(k) [TPa/Å²] of a cell's mean displacement, all relaxed, [K, d, d] (T14).
 
         D_eff = [(V/n²) Pᵗ D_at(k)⁻¹ P]⁻¹ at k [1/Å], [K, d]. Raises InputError for unstable waves.
@@ -227,7 +228,7 @@ class ForceConstants:
         flexible = moved.reshape(len(k), n, m, d)[:, :, :d].mean(axis=1).real * (self.volume / n)
         return symmetric_part(inv(flexible) * EV_IN_TPA)
 
-    def _by_atoms(self, weight: np.ndarray, phi: np.ndarray) -> np.ndarray:
+    def _by_atoms(self, weight: ndarray, phi: ndarray) -> ndarray:
         """Sum weight [K, P] · phi [P, ...] over the pairs of each two atoms, [n, n, K, ...]."""
         n = len(self.positions)
         sums = np.zeros((n, n, len(weight), *phi.shape[1:]), weight.dtype)
@@ -236,7 +237,7 @@ class ForceConstants:
             sums[i, j] = np.tensordot(weight[:, some], phi[some], 1)
         return sums
 
-    def moments(self, values: np.ndarray | None = None) -> Several:
+    def moments(self, values: ndarray | None = None) -> Several:
         """Moments Σ Φ r⁰ [..., n, 3, n, 3], Σ Φ r¹ [..., n, 3, 3, 3], Σ Φ r² [..., 3, 3, 3, 3].
         Dipoles count but for the macroscopic field; `values` [..., P, 3, 3] replace Φ."""
         r, phi = self.vectors, np.moveaxis(self.values if values is None else values, -3, 0)
@@ -262,9 +263,7 @@ class ForceConstants:
         second = np.einsum("s,t,stcdiajb->abcd", signs, signs, D).real / (-4 * SMALL**2)
         return D[0, 1, 0, 0].real, first, second
 
-    def acoustic(
-        self, e: np.ndarray, values: np.ndarray | None = None, *, field: bool = True
-    ) -> np.ndarray:
+    def acoustic(self, e: ndarray, values: ndarray | None = None, *, field: bool = True) -> ndarray:
         """Stiffness D_eff(k)/|k|² [TPa] of long waves along unit vectors e, [K, d, d] (T14).
         `values` as for `moments`; without `field` ions make no macroscopic one."""
         d, m, n = self.dimension, self.moving, len(self.positions)
@@ -280,8 +279,8 @@ class ForceConstants:
         return symmetric_part(A / self.volume * EV_IN_TPA)
 
     def nearest_elastic(
-        self, allowed: np.ndarray, values: np.ndarray | None = None, *, field: bool = True
-    ) -> tuple[np.ndarray, float]:
+        self, allowed: ndarray, values: ndarray | None = None, *, field: bool = True
+    ) -> tuple[ndarray, float]:
         """Nearest elastic tensor in the span of `allowed`, and the share of waves it misses."""
         e = directions(60, self.dimension)
         wanted = self.acoustic(e, values, field=field)
@@ -292,7 +291,7 @@ class ForceConstants:
         c = lstsq(rows, wanted.ravel())[0]
         return np.tensordot(c, allowed, 1), relative(rows @ c - wanted.ravel(), wanted)
 
-    def elastic(self, allowed: np.ndarray) -> np.ndarray:
+    def elastic(self, allowed: ndarray) -> ndarray:
         """Elastic tensor [TPa] of long waves, [d, d, d, d], in the span of tensors [m, d, d, d, d].
 
         Relaxed-ion, without the crystal's own stress. Warns of Φ that has not decayed or depends on
@@ -318,7 +317,7 @@ class ForceConstants:
             warn(f"force constants: {doubt}")
         return C
 
-    def elastic_doubt(self, allowed: np.ndarray, *, bent: bool = False) -> np.ndarray:
+    def elastic_doubt(self, allowed: ndarray, *, bent: bool = False) -> ndarray:
         """Independent standard errors of the elastic tensor [TPa], shape [Q, d, d, d, d]. With
         `bent` [2 Q, ...]: those even in the errors of Φ behind those odd in them."""
         given = [*(() if self.doubt is None else self.doubt)]
@@ -345,7 +344,7 @@ class ForceConstants:
             )
         return said
 
-    def group(self) -> np.ndarray:
+    def group(self) -> ndarray:
         """Point group of the crystal by spglib, [G, d, d], in the axes of its coordinates."""
         turns = elastic.group_of_structure(self.cell, self.positions @ inv(self.cell), self.kinds)
         if self.dimension == 3:
@@ -353,7 +352,7 @@ class ForceConstants:
         return point_group(turns[np.abs(np.abs(turns[:, 2, 2]) - 1) < 1e-6][:, :2, :2], 2)
 
 
-def relaxing(stiff: np.ndarray, moving: int) -> np.ndarray:
+def relaxing(stiff: ndarray, moving: int) -> ndarray:
     """Response of atoms to forces that sum to zero: Σ Φ [..., n m, n m] inverted on these."""
     n = stiff.shape[-1] // moving
     whole = np.kron(np.ones((n, n)) / n, np.eye(moving))
@@ -377,7 +376,7 @@ class Supercell:
         *,
         thickness: float | None = None,
         polar: NonAnalyticCorrection | None = None,
-        stress: np.ndarray | None = None,
+        stress: ndarray | None = None,
     ) -> None:
         edges, box, x, X = map(np.array, (cell.cell, many.cell, cell.positions, many.positions))
         self.displaced, self.box = list(displaced), box
@@ -409,18 +408,18 @@ class Supercell:
         widths = 1 / norm(inv(box), axis=0)[: 3 if thickness is None else 2]
         self.at_edge = far[i, j, image] > EDGE * widths.min()
 
-    def values(self, phi: np.ndarray) -> np.ndarray:
+    def values(self, phi: ndarray) -> ndarray:
         """Values of Φ [..., n, N, 3, 3] by pair, shape [..., P, 3, 3]."""
         return np.asarray(phi[..., *self.entries, :, :] * self.share)
 
-    def short_ranged(self, phi: np.ndarray) -> np.ndarray:
+    def short_ranged(self, phi: ndarray) -> ndarray:
         """Subtract the ions' dipole part from Φ [n, N, 3, 3]; InputError for another shape."""
         shape = len(self.displaced), len(self.site), 3, 3
         if phi.shape != shape:
             raise InputError(f"phi: expected shape {list(shape)}, got {list(phi.shape)}")
         return phi if self.pairs.polar is None else phi - self.field_of_ions()
 
-    def field_of_ions(self) -> np.ndarray:
+    def field_of_ions(self) -> ndarray:
         """Dipole part of Φ, [n, N, 3, 3]: the mean of waves that fit the supercell."""
         polar: Any = self.pairs.polar
         cell, x = self.pairs.cell, self.pairs.positions
@@ -436,7 +435,7 @@ class Supercell:
             phi[:, some] = np.einsum("kiN,kiab->iNab", phase[:, :, some], D[:, :, :, j]).real
         return phi
 
-    def balanced(self, phi: np.ndarray) -> np.ndarray:
+    def balanced(self, phi: ndarray) -> ndarray:
         """Correct Φ of each atom with itself so that its sums are zero (translations)."""
         phi = phi.copy()
         for row, atom in zip(phi, self.displaced):
@@ -444,14 +443,14 @@ class Supercell:
             row[atom] = symmetric_part(row[atom])
         return phi
 
-    def edge(self, values: np.ndarray) -> float:
+    def edge(self, values: ndarray) -> float:
         """Share of Σ |Φ| r² at half the supercell's width, of a sheet in its plane."""
         moment = np.abs(values).max(axis=(1, 2)) * norms(self.pairs.vectors) ** 2
         return float(moment[self.at_edge].sum() / max(moment.sum(), TINY))
 
 
 def from_supercell(
-    cell: Any, many: Any, phi: np.ndarray, displaced: Sequence[int], **how: Any
+    cell: Any, many: Any, phi: ndarray, displaced: Sequence[int], **how: Any
 ) -> ForceConstants:
     """Force constants of a cell from Φ [eV/Å²] of a Supercell of these arguments, [n, N, 3, 3]."""
     every = Supercell(cell, many, displaced, **how)
@@ -471,7 +470,7 @@ def forces_of(many: Any, calculator: Any) -> ArrayMap:
     many = many.copy()
     many.calc = calculator
 
-    def forces(x: np.ndarray) -> np.ndarray:
+    def forces(x: ndarray) -> ndarray:
         many.positions[:] = x
         return np.array(many.get_forces(apply_constraint=False))
 

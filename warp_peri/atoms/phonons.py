@@ -15,6 +15,7 @@ import ase
 import h5py
 import numpy as np
 from ase.data import atomic_masses
+from numpy import ndarray
 from numpy.linalg import det, eigh, eigvalsh, inv, norm
 
 from warp_peri.atoms.calculator_noise import TIMES, projected, rattled
@@ -158,7 +159,7 @@ def check_phonons(atoms: ForceConstants) -> None:
     )
 
 
-def _phonons(atoms: ForceConstants, parts: np.ndarray) -> Several:
+def _phonons(atoms: ForceConstants, parts: ndarray) -> Several:
     """Phonons at fractions [K, d] of reciprocal edges: k [1/Å], ω², modes/√mass [K, 3 n, n, 3]."""
     d = atoms.dimension
     k = 2 * np.pi * parts @ inv(atoms.cell[:d, :d]).T
@@ -178,8 +179,8 @@ def at_zone_edge(atoms: ForceConstants) -> tuple[float, float, float]:
 
 
 def finite_differences(
-    forces: ArrayMap, positions: np.ndarray, displaced: Sequence[int]
-) -> tuple[np.ndarray, float]:
+    forces: ArrayMap, positions: ndarray, displaced: Sequence[int]
+) -> tuple[ndarray, float]:
     """Force constants Φ [eV/Å²] of some atoms with all, by fourth-order differences, [n, N, 3, 3].
 
     Also returns the relative change of Φ from one step to one five times as wide: 1e-3 or less

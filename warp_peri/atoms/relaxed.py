@@ -15,6 +15,7 @@ from ase.geometry import minkowski_reduce
 from ase.neighborlist import neighbor_list
 from ase.optimize import BFGS
 from ase.spacegroup.symmetrize import refine_symmetry
+from numpy import ndarray
 from numpy.linalg import det, inv, norm, solve, svd
 from scipy.linalg import polar, sqrtm
 
@@ -67,7 +68,7 @@ class Reference:
 
     cell: ase.Atoms
     thickness: float | None
-    stress: np.ndarray | None
+    stress: ndarray | None
     noise: Noise
     said: dict[str, str]
 
@@ -247,7 +248,7 @@ def at_rest(
     return Reference(cell, size, stress, noise, said)
 
 
-def _settled(cell: ase.Atoms, flat: bool, held: set[str]) -> tuple[ase.Atoms, np.ndarray, Noise]:
+def _settled(cell: ase.Atoms, flat: bool, held: set[str]) -> tuple[ase.Atoms, ndarray, Noise]:
     """Relaxed cell, its strain on the way there, and the noise of its calculator."""
     calculator, before = cell.calc, np.array(cell.cell)
     cell.get_forces()  # before what may fail without a word
@@ -317,7 +318,7 @@ def _relax(cell: ase.Atoms, flat: bool, held: set[str], noise: Noise) -> None:
 
 def _stress_left(
     cell: ase.Atoms, thickness: float | None, flat: bool, held: set[str], noise: Noise
-) -> np.ndarray | None:
+) -> ndarray | None:
     """Residual stress of the strains that are held, [d, d]; None without any."""
     d = 2 if flat else 3
     try:

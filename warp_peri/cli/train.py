@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 import warp_peri
 from warp_peri.atoms import dumps
@@ -131,7 +132,7 @@ def _set_of(given: Namespace, data: Dataset) -> tuple[Path, dict[str, str]]:
     }
 
 
-def atom_forces(path: Path, atoms: int) -> np.ndarray:
+def atom_forces(path: Path, atoms: int) -> ndarray:
     """Read external forces on the atoms [eV/Å], shape [A, 2], from .npz or text with commas."""
     try:
         if path.suffix == ".npz":
@@ -401,7 +402,7 @@ def _beside(fit: Any) -> list[str]:
     return lines
 
 
-def _write_curves(folder: Path, stretches: np.ndarray, curves: Values, unit: str) -> None:
+def _write_curves(folder: Path, stretches: ndarray, curves: Values, unit: str) -> None:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(5, 3.6), layout="constrained")

@@ -13,6 +13,7 @@ from functools import lru_cache
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy import ndarray
 from numpy.linalg import eigvalsh, inv, lstsq, solve, svd
 from numpy.typing import ArrayLike
 
@@ -20,7 +21,7 @@ from warp_peri.errors import InputError, Several, optional
 from warp_peri.points.arguments import Pair, checked, typed
 from warp_peri.points.points import grid_places, unit_vectors
 
-Symmetry: TypeAlias = str | np.ndarray | Sequence[ArrayLike]
+Symmetry: TypeAlias = str | ndarray | Sequence[ArrayLike]
 """Name of a point group, or rotations of one, shape [G, d, d]."""
 TOLERANCE = 1e-5
 """Of the entries of a rotation that maps a lattice onto itself."""
@@ -79,7 +80,7 @@ KEPT |= dict.fromkeys(("hexagonal", "tetragonal"), ("C11", "C12", "C13", "C33", 
 """Elastic constants that symmetry leaves, once each, by its name."""
 
 
-def about_third(degrees: float) -> np.ndarray:
+def about_third(degrees: float) -> ndarray:
     """Rotation about the third axis, shape [3, 3]."""
     cos, sin = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
@@ -89,7 +90,7 @@ GENERATORS = {str(n): about_third(360 / n) for n in (2, 3, 4, 6, 12)}
 GENERATORS |= {"m": np.diag([1.0, -1.0, 1.0]), "cycle": np.eye(3)[[1, 2, 0]]}
 
 
-def point_group(symmetry: Symmetry, dimension: int) -> np.ndarray:
+def point_group(symmetry: Symmetry, dimension: int) -> ndarray:
     """Matrices of a point group, as "4mm" or "m3m", in the crystal's axes with the inversion, [G,
     d, d]; InputError for an unknown name, or matrices that are not rotations."""
     if isinstance(symmetry, str):
@@ -106,7 +107,7 @@ def point_group(symmetry: Symmetry, dimension: int) -> np.ndarray:
     return _closed(list(given), dimension)
 
 
-def name_of(group: np.ndarray) -> Symmetry:
+def name_of(group: ndarray) -> Symmetry:
     """Name of a point group along its usual axes; the matrices where there is none."""
     d = group.shape[1]
     for name in reversed(_PLANE if d == 2 else _SOLID):
@@ -118,7 +119,7 @@ def name_of(group: np.ndarray) -> Symmetry:
     return group
 
 
-def _closed(generators: list[np.ndarray], dimension: int) -> np.ndarray:
+def _closed(generators: list[ndarray], dimension: int) -> ndarray:
     """All products of the generators and the inversion."""
     found = [np.eye(dimension), -np.eye(dimension)]
     waiting = list(found)
@@ -134,7 +135,7 @@ def _closed(generators: list[np.ndarray], dimension: int) -> np.ndarray:
     return np.array(found)
 
 
-def shared_with_nodes(group: np.ndarray, orientation: np.ndarray) -> np.ndarray:
+def shared_with_nodes(group: ndarray, orientation: ndarray) -> ndarray:
     """Symmetries that a square or cubic lattice of nodes shares with a crystal's group: integer
     matrices in the nodes' axes, [g, d, d] (theory, T5)."""
     turned = orientation @ group @ orientation.T
@@ -142,12 +143,12 @@ def shared_with_nodes(group: np.ndarray, orientation: np.ndarray) -> np.ndarray:
     return np.asarray(whole[np.abs(turned - whole).max(axis=(1, 2)) < TOLERANCE].astype(np.int64))
 
 
-def lattice_group(dimension: int) -> np.ndarray:
+def lattice_group(dimension: int) -> ndarray:
     """All symmetries of a square or cubic lattice, integer matrices, shape [g, d, d]."""
     return shared_with_nodes(point_group(LATTICE_GROUP[dimension], dimension), np.eye(dimension))
 
 
-def checked_orientation(orientation: Any, dimension: int) -> np.ndarray:
+def checked_orientation(orientation: Any, dimension: int) -> ndarray:
     """Rotation from the crystal's axes to the nodes', of degrees or a matrix; else InputError."""
     given = checked("orientation", np.eye(dimension) if orientation is None else orientation)
     if given.ndim == 0:
@@ -193,8 +194,8 @@ def primitive_cell(crystal: Several, precision: float) -> Any:
 
 
 def group_of_structure(
-    cell: np.ndarray, fractions: np.ndarray, species: np.ndarray, *, precision: float = 1e-4
-) -> np.ndarray:
+    cell: ndarray, fractions: ndarray, species: ndarray, *, precision: float = 1e-4
+) -> ndarray:
     """Point group of an atomic structure in the axes of its cell, [G, d, d]; as by_spglib."""
     # of the primitive cell: a larger one hides turns that are no whole numbers of its edges
     small = primitive_cell((np.asarray(cell, float), fractions, species), precision)
@@ -202,9 +203,7 @@ def group_of_structure(
     return point_group(edges @ found["rotations"].astype(float) @ inv(edges), 3)
 
 
-def canonical(
-    vectors: np.ndarray, group: np.ndarray, margin: float | np.ndarray = 0.0
-) -> np.ndarray:
+def canonical(vectors: ndarray, group: ndarray, margin: float | ndarray = 0.0) -> ndarray:
     """Whether each vector [K, d], or some of its cell of half side `margin`, lies in one cone whose
     images under the group fill space: nearest to one direction in general position (T12)."""
     direction = np.array([1.0, 0.6137, 0.2719])[: vectors.shape[1]]
@@ -214,13 +213,13 @@ def canonical(
     return kept
 
 
-def orbit_grid(intervals: int, group: np.ndarray, dimension: int) -> np.ndarray:
+def orbit_grid(intervals: int, group: ndarray, dimension: int) -> ndarray:
     """Grid points on [−π, π]^d, one of each orbit, without 0, shape [K, d]; read only."""
     return _orbits(intervals, group.astype(np.int64).tobytes(), dimension)
 
 
 @lru_cache(maxsize=8)
-def _orbits(intervals: int, bytes_of_group: bytes, dimension: int) -> np.ndarray:
+def _orbits(intervals: int, bytes_of_group: bytes, dimension: int) -> ndarray:
     group = np.frombuffer(bytes_of_group, np.int64).reshape(-1, dimension, dimension)
     grid = grid_places(dimension * (2 * intervals + 1,)) - intervals
     grid = grid[canonical(grid.astype(float), group) & grid.any(axis=1)]
@@ -229,7 +228,7 @@ def _orbits(intervals: int, bytes_of_group: bytes, dimension: int) -> np.ndarray
     return wave
 
 
-def directions(count: int, dimension: int) -> np.ndarray:
+def directions(count: int, dimension: int) -> ndarray:
     """Unit vectors spread evenly over half the circle, or over the sphere, shape [count, d]."""
     number = np.arange(count) + 0.5
     if dimension == 2:
@@ -240,35 +239,35 @@ def directions(count: int, dimension: int) -> np.ndarray:
     return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
 
 
-def brackets_from_elastic(tensor: np.ndarray) -> np.ndarray:
+def brackets_from_elastic(tensor: ndarray) -> ndarray:
     """Brackets [ij, kl] = (C_ikjl + C_iljk)/2 of an elastic tensor: the inverse of (T4)."""
     return symmetric_part(np.einsum("...agbl->...abgl", tensor))
 
 
-def stress_brackets(stress: np.ndarray) -> np.ndarray:
+def stress_brackets(stress: ndarray) -> ndarray:
     """Brackets δ_ij σ_kl that a held stress adds to those of a crystal (T19)."""
     return np.asarray(np.einsum("ij,kl->ijkl", np.eye(len(stress)), stress))
 
 
-def bracket_rows(brackets: np.ndarray) -> np.ndarray:
+def bracket_rows(brackets: ndarray) -> ndarray:
     """All independent entries [ij, kl] of P bracket tensors, shape [E, P]."""
     return voigt(brackets).reshape(len(brackets), -1).T
 
 
-def huang_rows(brackets: np.ndarray) -> np.ndarray:
+def huang_rows(brackets: ndarray) -> ndarray:
     """Huang's relations [ij, kl] − [kl, ij] = 0 of P bracket tensors, shape [E, P]."""
     pairs = voigt(brackets)
     first, second = np.triu_indices(pairs.shape[-1], 1)
     return np.asarray((pairs - pairs.mT)[:, first, second].T)
 
 
-def voigt(tensor: np.ndarray) -> np.ndarray:
+def voigt(tensor: ndarray) -> ndarray:
     """Voigt matrix of tensors [..., d, d, d, d], 3 × 3 in the plane, 6 × 6 in space."""
     i, j = np.transpose(PAIRS[tensor.shape[-1]])
     return tensor[..., i[:, None], j[:, None], i, j]
 
 
-def plane_isotropic(lam: float, mu: float) -> np.ndarray:
+def plane_isotropic(lam: float, mu: float) -> ndarray:
     """Voigt matrix of λ and μ in the plane [stress], shape [3, 3]."""
     C = np.diag([lam + 2 * mu, lam + 2 * mu, mu])
     C[0, 1] = C[1, 0] = lam
@@ -276,7 +275,7 @@ def plane_isotropic(lam: float, mu: float) -> np.ndarray:
 
 
 @typed
-def voigt_to_tensor(moduli: np.ndarray) -> np.ndarray:
+def voigt_to_tensor(moduli: ndarray) -> ndarray:
     """Elastic tensor [d, d, d, d] of a Voigt matrix; InputError unless symmetric and finite."""
     matrix = checked("moduli", moduli)
     if matrix.shape not in ((3, 3), (6, 6)):
@@ -288,13 +287,13 @@ def voigt_to_tensor(moduli: np.ndarray) -> np.ndarray:
     return matrix[place[:, :, None, None], place]
 
 
-def turned(tensor: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+def turned(tensor: ndarray, rotation: ndarray) -> ndarray:
     """Elastic tensor of a rotated crystal: R R R R C."""
     R = 4 * [rotation]
     return np.asarray(np.einsum("ai,bj,ck,dl,ijkl->abcd", *R, tensor, optimize=True))
 
 
-def allowed_tensors(symmetry: Symmetry, orientation: np.ndarray) -> np.ndarray:
+def allowed_tensors(symmetry: Symmetry, orientation: ndarray) -> ndarray:
     """Basis of the elastic tensors that a crystal's group allows, nodes' axes, [m, d, d, d, d]."""
     d = len(orientation)
     if isinstance(symmetry, str) and symmetry == "isotropic" and d == 3:
@@ -315,12 +314,12 @@ def allowed_tensors(symmetry: Symmetry, orientation: np.ndarray) -> np.ndarray:
     return np.array([turned(tensor, orientation) for tensor in found])
 
 
-def acoustic(brackets: np.ndarray, e: np.ndarray) -> np.ndarray:
+def acoustic(brackets: ndarray, e: ndarray) -> ndarray:
     """Acoustic tensor Q(e) = [ij, kl] e_k e_l, D(k) at long waves, shape [K, d, d]."""
     return np.asarray(np.einsum("ijkl,nk,nl->nij", brackets, e, e, optimize=True))
 
 
-def q1_tensors(elastic: np.ndarray) -> Pair:
+def q1_tensors(elastic: ndarray) -> Pair:
     """Steps and C(ξ) h² [H, d, d] [stress] of Q1 elements of side h, two Gauss points an axis."""
     d = len(elastic)
     corner = grid_places((2,) * d)
@@ -332,7 +331,7 @@ def q1_tensors(elastic: np.ndarray) -> Pair:
             [side[:, a] * np.prod(np.delete(factor, a, axis=1), axis=1) for a in range(d)], axis=1
         )  # per side length, at one of 2^d points of weight 2^−d
         stiffness += np.einsum("pj,qn,ijmn->piqm", slope, slope, elastic, optimize=True) / 2**d
-    found: dict[tuple[int, ...], np.ndarray] = {}
+    found: dict[tuple[int, ...], ndarray] = {}
     for a, b in itertools.product(range(len(corner)), repeat=2):
         step = tuple((corner[b] - corner[a]).tolist())
         if step > (0,) * d:
@@ -340,14 +339,14 @@ def q1_tensors(elastic: np.ndarray) -> Pair:
     return np.array(list(found)), symmetric_part(np.array(list(found.values())))
 
 
-def central_weights(reach: int) -> np.ndarray:
+def central_weights(reach: int) -> ndarray:
     """Weights w with u′ ≈ Σ w_m (u(m) − u(−m)), m = 1 … reach unit spacings, of order 2 reach."""
     m = np.arange(1, reach + 1)
     ways = np.cumprod((reach + 1 - m) / (reach + m))  # r!²/((r − m)! (r + m)!)
     return -((-1.0) ** m) * ways / m
 
 
-def difference_tensors(elastic: np.ndarray, reach: int) -> Pair:
+def difference_tensors(elastic: ndarray, reach: int) -> Pair:
     """Steps and C(ξ) h² of central differences of order 2 reach, as q1_tensors."""
     d, ways = len(elastic), [*enumerate(central_weights(reach), 1)]
     unit = np.eye(d, dtype=int)
@@ -364,7 +363,7 @@ def difference_tensors(elastic: np.ndarray, reach: int) -> Pair:
     return steps, symmetric_part(tensors)
 
 
-def compliance(tensor: np.ndarray) -> np.ndarray:
+def compliance(tensor: ndarray) -> ndarray:
     """Compliance S_ijkl with ε = S σ; InputError for a singular elastic tensor."""
     d, matrix = len(tensor), voigt(tensor)
     if not eigvalsh(matrix).min() > 0:
@@ -373,7 +372,7 @@ def compliance(tensor: np.ndarray) -> np.ndarray:
     return voigt_to_tensor(inv(matrix) * np.outer(engineering, engineering))
 
 
-def named_symmetry(tensor: np.ndarray) -> str:
+def named_symmetry(tensor: ndarray) -> str:
     """Symmetry of an elastic tensor in the axes it is given in: a key of NAMES, or "lower"."""
     d, tiny = len(tensor), SAME * np.abs(voigt(tensor)).max()
     for name, symmetry in NAMES[d].items():
@@ -384,7 +383,7 @@ def named_symmetry(tensor: np.ndarray) -> str:
     return "lower"
 
 
-def named_moduli(tensor: np.ndarray) -> dict[str, float]:
+def named_moduli(tensor: ndarray) -> dict[str, float]:
     """Nonzero elastic constants by name, equal ones once; in the plane C44 is the shear modulus."""
     M, label = voigt(tensor), "123456" if len(tensor) == 3 else "124"
     found = {f"C{label[m]}{label[n]}": float(M[m, n]) for m, n in zip(*np.triu_indices(len(M)))}
@@ -394,7 +393,7 @@ def named_moduli(tensor: np.ndarray) -> dict[str, float]:
     return {constant: value for constant, value in found.items() if abs(value) > tiny}
 
 
-def plane_stress(tensor: np.ndarray) -> np.ndarray:
+def plane_stress(tensor: ndarray) -> ndarray:
     """Plane-stress tensor of a sheet free of stresses 33, 23 and 13: a Schur complement (T6)."""
     M = voigt(tensor)
     kept, free = [0, 1, 5], [2, 3, 4]
@@ -402,12 +401,12 @@ def plane_stress(tensor: np.ndarray) -> np.ndarray:
     return voigt_to_tensor(symmetric_part(M[np.ix_(kept, kept)] - M[np.ix_(kept, free)] @ inner))
 
 
-def symmetric_part(A: np.ndarray) -> np.ndarray:
+def symmetric_part(A: ndarray) -> ndarray:
     """Symmetric part (A + Aᵗ)/2 of matrices [..., d, d]."""
     return np.asarray(A + A.mT) / 2
 
 
-def checked_symmetric(name: str, given: Any, shape: Any = None) -> np.ndarray:
+def checked_symmetric(name: str, given: Any, shape: Any = None) -> ndarray:
     """Symmetric part of matrices [..., d, d], in single precision too; InputError as `checked`, and
     for others."""
     A = checked(name, given, float, shape)
@@ -416,33 +415,33 @@ def checked_symmetric(name: str, given: Any, shape: Any = None) -> np.ndarray:
     return symmetric_part(A)
 
 
-def times(A: np.ndarray, B: np.ndarray) -> np.ndarray:
+def times(A: ndarray, B: ndarray) -> ndarray:
     """Matrix products A B, each [d, d, ...]."""
     return np.asarray(np.einsum("ab...,bc...->ac...", A, B))
 
 
-def symmetric(A: np.ndarray) -> np.ndarray:
+def symmetric(A: ndarray) -> ndarray:
     """Symmetric part (A + Aᵗ)/2 of matrices [d, d, ...]."""
     return np.asarray(A + A.swapaxes(0, 1)) / 2
 
 
-def in_shape_of(u: Any, values: Any) -> np.ndarray:
+def in_shape_of(u: Any, values: Any) -> ndarray:
     """Values of fields, [S, n, ...], in the leading shape of the fields u, [..., N, d]."""
     return np.reshape(values, (*np.shape(u)[:-2], *np.shape(values)[1:]))
 
 
-def contracted(C: np.ndarray, X: np.ndarray) -> np.ndarray:
+def contracted(C: ndarray, X: ndarray) -> ndarray:
     """Tensor C [d, d, ...] times X, summed over all its other axes; tensordot takes longer."""
     of = C[0, 0]
     found = C.reshape(-1, of.size) @ X.reshape(of.size, -1)
     return np.reshape(found, C.shape[:2] + X.shape[of.ndim :])
 
 
-def strain_rate(H: np.ndarray, X: np.ndarray) -> np.ndarray:
+def strain_rate(H: ndarray, X: ndarray) -> ndarray:
     """Derivative of the Green strain at H along X, each [d, d, ...]."""
     return symmetric(X + times(H.swapaxes(0, 1), X))
 
 
-def strain(H: np.ndarray) -> np.ndarray:
+def strain(H: ndarray) -> ndarray:
     """Green strain (H + Hᵗ + HᵗH)/2 of gradients [d, d, ...]."""
     return strain_rate(H / 2, H)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import scipy.fft
 import torch
+from numpy import ndarray
 from numpy.linalg import norm
 from numpy.typing import ArrayLike
 from torch.autograd import grad
@@ -53,10 +54,10 @@ class Pointwise(Swept):
         points: PointsLike,
         horizon: float,
         density: Callable[..., torch.Tensor],
-        steps: np.ndarray,
-        weights: np.ndarray,
+        steps: ndarray,
+        weights: ndarray,
         *,
-        back: np.ndarray | None = None,
+        back: ndarray | None = None,
         stencil: Stencil | None = None,
         numbers: Numbers | None = None,
         cubic: bool = False,
@@ -99,24 +100,24 @@ class Pointwise(Swept):
             change = self._slopes(np.repeat(units, d * d, axis=2), along)[1].reshape(6 * (d,))
             self._third = change - self.stiffness[:, :, None, None]
 
-    def _waves(self, values: np.ndarray, places: np.ndarray) -> np.ndarray:
+    def _waves(self, values: ndarray, places: ndarray) -> ndarray:
         """Fourier transform of values at places [..., n], zero elsewhere, [..., *half a torus]."""
         planes = np.zeros((*values.shape[:-1], np.prod(self._torus)))
         planes[..., places] = values
         planes = planes.reshape(*values.shape[:-1], *self._torus)
         return np.asarray(scipy.fft.rfftn(planes, axes=self._axes, overwrite_x=True))
 
-    def _planes(self, waves: np.ndarray, places: np.ndarray) -> np.ndarray:
+    def _planes(self, waves: ndarray, places: ndarray) -> ndarray:
         """Inverse transform of waves at some places, shape [..., n]."""
         planes = scipy.fft.irfftn(waves, self._torus, self._axes, overwrite_x=True)
         return np.take(planes.reshape(*planes.shape[: -len(self._torus)], -1), places, axis=-1)
 
-    def _seen(self, u: np.ndarray, side: int = 0) -> Pair:
+    def _seen(self, u: ndarray, side: int = 0) -> Pair:
         """Waves of fields [S, N, d], and their gradients H at the nodes `full`, [d, d, S, Q, F]."""
         waves = self._waves(np.take(u.transpose(2, 0, 1), self._near, axis=-1), self._places)
         return waves, self._planes(waves[:, None, :, None] * self._symbols[side], self._full)
 
-    def _pulled(self, P: np.ndarray, side: int, places: np.ndarray, field: Any) -> np.ndarray:
+    def _pulled(self, P: ndarray, side: int, places: ndarray, field: Any) -> ndarray:
         """Gradients transposed of P, plus the linear part's force, at some places, [S, n, d]."""
         total = (self._waves(P, self._full) * self._mirrored[side]).sum(axis=(1, 3))
         if self._straight is not None:
@@ -128,7 +129,7 @@ class Pointwise(Swept):
         return self.density(torch.as_tensor(E).movedim((0, 1), (-2, -1)), **self.learnable | other)
 
     @own_torch()
-    def _slopes(self, E: np.ndarray, *along: np.ndarray) -> list[np.ndarray]:
+    def _slopes(self, E: ndarray, *along: ndarray) -> list[ndarray]:
         """Derivative W′(E) at strains [d, d, ...], and its own along others; zero of a linear W."""
         if self._third is not None:  # W″ is linear, and W′(E) = W″(E/2) E
             pairs = (E / 2, E), *((E, X) for X in along)
@@ -140,23 +141,23 @@ class Pointwise(Swept):
             found += grad(found[0] if found[0].requires_grad else 0 * at, at, torch.from_numpy(X))
         return [symmetric(each.detach().numpy()) for each in found]
 
-    def _stress(self, H: np.ndarray) -> np.ndarray:
+    def _stress(self, H: ndarray) -> ndarray:
         """Stress P of gradients [d, d, ...], without that of the linear part."""
         (S,) = self._slopes(strain(H))
         return np.asarray(S + times(H, S) - contracted(self._at_rest, H))
 
-    def _bent(self, u: np.ndarray, v: np.ndarray, side: int, places: np.ndarray) -> np.ndarray:
+    def _bent(self, u: ndarray, v: ndarray, side: int, places: ndarray) -> ndarray:
         """Derivative of the force at fields u along v, or its transpose (side 1), at places."""
         (_, H), (waves, X) = self._seen(u), self._seen(v, side)
         S, bent = self._slopes(strain(H), strain_rate(H, X))
         change = times(X, S) + times(H, bent) + bent - contracted(self._at_rest, X)
         return self._pulled(change, 1 - side, places, waves)
 
-    def force(self, u: ArrayLike, radius: float = 0.0) -> np.ndarray:
+    def force(self, u: ArrayLike, radius: float = 0.0) -> ndarray:
         """Force on the interior nodes [stress/length], [..., I, d]; with `radius` > 0 that of
         gradients projected to |H| ≤ radius (N10)."""
 
-        def sweep(u: np.ndarray) -> np.ndarray:
+        def sweep(u: ndarray) -> ndarray:
             waves, H = self._seen(u)
             if radius > 0:
                 H *= np.minimum(1, radius / norm(H, axis=(0, 1)))
@@ -164,28 +165,28 @@ class Pointwise(Swept):
 
         return self._swept(sweep, u)
 
-    def jvp(self, u: ArrayLike, v: ArrayLike) -> np.ndarray:
+    def jvp(self, u: ArrayLike, v: ArrayLike) -> ndarray:
         """Derivative of the force at u along v, shape [..., I, d]."""
         return self._swept(lambda u, v: self._bent(u, v, 0, self._inside), u, v)
 
-    def vjp(self, u: ArrayLike, w: ArrayLike) -> np.ndarray:
+    def vjp(self, u: ArrayLike, w: ArrayLike) -> ndarray:
         """Transposed derivative of the force at u times w [..., I, d], on all nodes [..., N, d]."""
 
-        def sweep(u: np.ndarray, w: np.ndarray) -> np.ndarray:
+        def sweep(u: ndarray, w: ndarray) -> ndarray:
             out = np.zeros_like(u)
             out[:, self._near] = self._bent(u, w, 1, self._places)
             return out
 
         return self._swept(sweep, u, self.on_all(w))
 
-    def by_numbers(self, name: str, u: ArrayLike, w: ArrayLike) -> np.ndarray:
+    def by_numbers(self, name: str, u: ArrayLike, w: ArrayLike) -> ndarray:
         """Derivative of Σ w · force(u) by a number, for fields [K, N, d] and weights [K, I, d];
         InputError for a density that changes with it, all or in part, outside torch's graph."""
         value = self.learnable[name]
         step = STEP * abs(value) or STEP
         what = f"parameters: the energy does not differentiate {name!r}; use torch functions"
 
-        def sweep(u: np.ndarray, w: np.ndarray) -> Any:
+        def sweep(u: ndarray, w: ndarray) -> Any:
             (_, H), (_, X) = self._seen(u), self._seen(w, 1)
             E, along = map(torch.from_numpy, (strain(H), strain_rate(H, X)))
             E.requires_grad_()
@@ -224,30 +225,30 @@ class Pointwise(Swept):
     def gradients(self, u: ArrayLike) -> Pair:
         """Gradients H and stresses P, means over q, at the nodes `full`, each [..., F, d, d]."""
 
-        def sweep(u: np.ndarray) -> Any:
+        def sweep(u: ndarray) -> Any:
             _, H = self._seen(u)
             return np.stack([H, self._stress(H)]).mean(axis=4).transpose(3, 0, 4, 1, 2)
 
         H, P = np.moveaxis(self._swept(sweep, u), -4, 0)
         return H, P
 
-    def largest_gradient(self, u: ArrayLike) -> np.ndarray:
+    def largest_gradient(self, u: ArrayLike) -> ndarray:
         """Largest |H| of each field over the nodes `full`, shape [...]."""
         return np.asarray(norm(self.gradients(u)[0], axis=(-2, -1)).max(axis=-1))
 
-    def energy(self, u: ArrayLike) -> np.ndarray | None:
+    def energy(self, u: ArrayLike) -> ndarray | None:
         """Energy h^d Σ W(H) over the nodes `full` [stress · length^d], [...], without that of the
         linear part; None where the force has no energy."""
         if not self.has_energy:
             return None
 
-        def sweep(u: np.ndarray) -> Any:
+        def sweep(u: ndarray) -> Any:
             _, H = self._seen(u)
             linear = (contracted(self._at_rest, H) * H).sum(axis=(0, 1)) / 2
             return (self._energies(strain(H)).detach().numpy() - linear).mean(axis=1).sum(axis=-1)
 
         return np.asarray(self.points.spacing**self.points.dimension * self._swept(sweep, u))
 
-    def stress(self, u: ArrayLike) -> np.ndarray:
+    def stress(self, u: ArrayLike) -> ndarray:
         """First Piola stress P at the interior nodes, [..., I, d, d], without the linear part."""
         return self.gradients(u)[1][..., self.points.interior[self.full], :, :]

@@ -15,6 +15,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 from scipy.linalg import eigh, eigvalsh, null_space
 
 from warp_peri.core.elastic import acoustic, canonical, symmetric_part
@@ -60,7 +61,7 @@ RANK_TOLERANCE = 1e-9
 """Eigenvalues of ΦΓ⁻¹Φᵗ below this fraction of the largest count as zero."""
 SCHWARZ_TOLERANCE = 1e-10
 
-Affine = Callable[[np.ndarray], Pair]
+Affine = Callable[[ndarray], Pair]
 """Middles of cells [K, n] to a matrix there, [K, c, c], and its slopes, [n, K, c, c]."""
 
 
@@ -103,7 +104,7 @@ class StencilCertificate:
         """The certificate as plain values for a file."""
         return asdict(self)
 
-    def check_of(self, stencil: Stencil, group: np.ndarray) -> None:
+    def check_of(self, stencil: Stencil, group: ndarray) -> None:
         """Raise InputError unless the bound is proven of a stencil: all cells are checked again."""
         stiff, c = _lattice_units(stencil), self.proven
         long, _ = _long_waves(stiff, group)
@@ -178,7 +179,7 @@ class Certificate(Figures):
         return self.gamma_min > 0 and least >= -SCHWARZ_TOLERANCE * largest  # to rounding
 
 
-def stencil_of(law: Any, spacing: float, verb: str) -> tuple[Any, np.ndarray]:
+def stencil_of(law: Any, spacing: float, verb: str) -> tuple[Any, ndarray]:
     """Stencil of a linear solid on a lattice, and the symmetries of nodes that leave it unchanged;
     InputError for another spacing than a one-lattice solid's, and laws without a stencil."""
     found = offered(law, "stencil", verb, LINEAR)
@@ -262,7 +263,7 @@ def statement_of(spacing: float, bound: float, units: Units, dimension: int) -> 
 
 def prove(
     stencil: Stencil,
-    group: np.ndarray,
+    group: ndarray,
     weight: Stencil | None = None,
     shares: tuple[float, ...] = SHARES,
 ) -> StencilCertificate:
@@ -311,7 +312,7 @@ def _lattice_units(stencil: Stencil) -> Stencil:
     return Stencil(1.0, stencil.steps, stencil.tensors * stencil.spacing**2)
 
 
-def _ratio(stencil: Stencil, weight: Stencil, phase: np.ndarray) -> np.ndarray:
+def _ratio(stencil: Stencil, weight: Stencil, phase: ndarray) -> ndarray:
     """Λmin D/w at k h = `phase`, shape [K]; infinite where w vanishes."""
     w = bend(phase, weight.steps) @ weight.tensors[:, 0, 0]
     low = smallest_eigenvalue(stencil.symbol(phase))
@@ -319,24 +320,24 @@ def _ratio(stencil: Stencil, weight: Stencil, phase: np.ndarray) -> np.ndarray:
     return np.where(seen, low / np.where(seen, w, 1.0), np.where(low > 0, np.inf, -np.inf))
 
 
-def parts(tensors: np.ndarray) -> Pair:
+def parts(tensors: ndarray) -> Pair:
     """Positive and negative part of symmetric matrices, C = C⁺ − C⁻."""
     value, vector = np.linalg.eigh(tensors)
     above, below = ((vector * np.maximum(sign * value, 0)[:, None]) @ vector.mT for sign in (1, -1))
     return above, below
 
 
-def _corners(d: int) -> np.ndarray:
+def _corners(d: int) -> ndarray:
     return grid_points((-1.0, 1.0), d)
 
 
-def _most(stencil: Stencil, tensors: np.ndarray) -> float:
+def _most(stencil: Stencil, tensors: ndarray) -> float:
     """Maximum of Λmax Σ T (t·ξ)² over corners t of a cube."""
     lengths = (stencil.steps @ _corners(stencil.dimension).T) ** 2
     return float(np.linalg.eigvalsh(np.tensordot(lengths.T, tensors, 1))[:, -1].max())
 
 
-def _slack(stencil: Stencil, group: np.ndarray) -> float:
+def _slack(stencil: Stencil, group: ndarray) -> float:
     """How far a symbol, or Q on the faces of a cube, may be off by rounding, and its images under a
     group by what the tensors break it."""
     size = np.abs(np.linalg.eigvalsh(stencil.tensors)).max(axis=1).sum()
@@ -350,15 +351,15 @@ def _positive(
     dimension: int,
     rest: float,
     slack: float,
-    asked: Callable[[np.ndarray, float], np.ndarray],
+    asked: Callable[[ndarray, float], ndarray],
     most: int,
-) -> tuple[bool, int, np.ndarray | None]:
+) -> tuple[bool, int, ndarray | None]:
     """Whether a matrix function is proven positive definite on [−edge, edge]^n, the number of cells
     (at `most`), and a middle where it is not. It may be rest · half² below its `affine` part about
     the middle of a cell, and `slack` for rounding; `asked` tells which cells matter."""
     corners, cells, half, seen = _corners(dimension), *_first_cells(edge, dimension), 0
 
-    def states(half: float, some: np.ndarray) -> np.ndarray:
+    def states(half: float, some: ndarray) -> ndarray:
         """State of cells: 0 proven positive, 1 a corner failed, 2 negative at the middle."""
         value, slopes = affine(some)
         state = 2 * (smallest_eigenvalue(value) < 0)
@@ -382,13 +383,13 @@ def _positive(
     return False, seen, None
 
 
-def _first_cells(edge: float, dimension: int) -> tuple[np.ndarray, float]:
+def _first_cells(edge: float, dimension: int) -> tuple[ndarray, float]:
     """Middles of the FIRST cells per axis of [−edge, edge]^d, and half a side."""
     half = edge / FIRST
     return grid_points(-edge + half * (2 * np.arange(FIRST) + 1), dimension), half
 
 
-def _symbol_slopes(stencil: Stencil, phase: np.ndarray) -> Pair:
+def _symbol_slopes(stencil: Stencil, phase: ndarray) -> Pair:
     """Symbol D, shape [K, c, c], and its derivatives, [d, K, c, c]."""
     flat = stencil.tensors.reshape(len(stencil.tensors), -1)
     shape = (len(phase), *stencil.tensors.shape[1:])
@@ -405,15 +406,15 @@ def long_wave_radius(stencil: Stencil, long: float) -> float:
 
 
 def _positive_on_zone(
-    stencil: Stencil, group: np.ndarray, long: float
-) -> tuple[bool, int, np.ndarray | None]:
+    stencil: Stencil, group: ndarray, long: float
+) -> tuple[bool, int, ndarray | None]:
     """Whether D(k) > 0 is proven for all k ≠ 0, the number of cells, and a wave where it is not;
     outside the ball of long waves D ≥ value and slope at a cell's middle less Σ |C| (η·ξ)²."""
     d, (above, below) = stencil.dimension, parts(stencil.tensors)
     radius = long_wave_radius(stencil, long)
 
-    def asked(k: np.ndarray, half: float) -> np.ndarray:
-        far: np.ndarray = ((np.abs(k) + half) ** 2).sum(axis=1) > radius**2
+    def asked(k: ndarray, half: float) -> ndarray:
+        far: ndarray = ((np.abs(k) + half) ** 2).sum(axis=1) > radius**2
         far[far] = canonical(k[far], group, half)
         return far
 
@@ -421,7 +422,7 @@ def _positive_on_zone(
     return _positive(affine, np.pi, d, rest, _slack(stencil, group), asked, MOST_CELLS[d])
 
 
-def _long_waves(stencil: Stencil, group: np.ndarray) -> tuple[float, int]:
+def _long_waves(stencil: Stencil, group: ndarray) -> tuple[float, int]:
     """Proven q > 0 with Q(e) ≥ q |e|² for all e, or 0, and the number of cells (T13). On cells of
     faces e_a = 1 of a cube Q(e) − q |e|² is affine plus at least −Σ C⁻ (t·ξ)² − q |t|²."""
     d, brackets = stencil.dimension, stencil.brackets
@@ -436,13 +437,13 @@ def _long_waves(stencil: Stencil, group: np.ndarray) -> tuple[float, int]:
     total = 0
     for a in range(d):
 
-        def affine(t: np.ndarray, a: int = a) -> Pair:
+        def affine(t: ndarray, a: int = a) -> Pair:
             e = np.insert(t, a, 1.0, axis=1)
             bent = np.einsum("ijkl,nl->knij", both, e) - 2 * q * e.T[:, :, None, None] * one
             slopes = np.delete(symmetric_part(bent), a, axis=0)
             return acoustic(brackets, e) - q * (e**2).sum(axis=1)[:, None, None] * one, slopes
 
-        def asked(t: np.ndarray, half: float, a: int = a) -> np.ndarray:
+        def asked(t: ndarray, half: float, a: int = a) -> ndarray:
             return canonical(np.insert(t, a, 1.0, axis=1), group, half)
 
         holds, seen, _ = _positive(affine, 1.0, d - 1, rest, slack, asked, MOST_CELLS[d])
@@ -452,7 +453,7 @@ def _long_waves(stencil: Stencil, group: np.ndarray) -> tuple[float, int]:
     return q, total
 
 
-def largest(stencil: Stencil, group: np.ndarray, tolerance: float = UPPER_TOLERANCE) -> float:
+def largest(stencil: Stencil, group: ndarray, tolerance: float = UPPER_TOLERANCE) -> float:
     """Upper bound of Λmax D(k) over all k [stress/length²], proven cell by cell (theory, T21),
     within the relative `tolerance` of a value that D takes, or as far as MOST_CELLS lead."""
     d, work, taken = stencil.dimension, 0, 0.0
@@ -460,7 +461,7 @@ def largest(stencil: Stencil, group: np.ndarray, tolerance: float = UPPER_TOLERA
     slack, corners = _slack(stencil, group), _corners(d)
     cells, half = _first_cells(np.pi, d)
 
-    def bounds(half: float, some: np.ndarray) -> np.ndarray:
+    def bounds(half: float, some: ndarray) -> ndarray:
         """Λmax at the middles, and its bound over the cells, shape [K, 2]."""
         value, slopes = _symbol_slopes(stencil, some)
         high = [-smallest_eigenvalue(-value - half * np.tensordot(c, slopes, 1)) for c in corners]

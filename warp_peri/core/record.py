@@ -25,6 +25,7 @@ from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, TypeAlias, get_args, get_origin
 
 import numpy as np
+from numpy import ndarray
 
 from warp_peri.errors import Held, InputError, Rows, Shown, StrPath, Values, hold, warn
 from warp_peri.files import atomic
@@ -291,7 +292,7 @@ class Record(Shown, Held):
             return replace(value, **self._moved(value, by, units))
         if isinstance(value, tuple):
             return tuple(self._scaled(one, says, by, units) for one in value)
-        if says is PLAIN or not isinstance(value, (float, np.ndarray)):
+        if says is PLAIN or not isinstance(value, (float, ndarray)):
             return value
         size, stress = by[0] ** abs(says.length), by[1] ** says.stress
         return value * (stress * size if says.length >= 0 else stress / size)
@@ -426,10 +427,10 @@ def taken(key: str, hint: Any, value: Any, says: FieldUnits = PLAIN, *, read: bo
             raise InputError(f"{key}: expected {len(kinds)} of them, got {len(value)}")
         return tuple(taken(key, kind, one, says, read=read) for kind, one in zip(kinds, value))
     if says.spread and (isinstance(value, (list, tuple)) or np.ndim(value)):
-        hint = np.ndarray
+        hint = ndarray
     if hint is float:
         return _number(key, value, says.positive)
-    if hint is np.ndarray:
+    if hint is ndarray:
         if not isinstance(value, (list, tuple)) and np.ndim(value) == 0:
             raise InputError(f"{key}: expected a list, got {value!r:.50}")
         if _holds_bool(value):

@@ -16,6 +16,7 @@ import numpy as np
 import scipy.fft
 import scipy.sparse as sp
 import warp as wp
+from numpy import ndarray
 from numpy.linalg import eigh, eigvalsh, inv, norm, svd
 
 from warp_peri.core.elastic import directions, orbit_grid, symmetric_part
@@ -54,8 +55,8 @@ class Stencil:
     """
 
     spacing: float
-    steps: np.ndarray
-    tensors: np.ndarray
+    steps: ndarray
+    tensors: ndarray
 
     @property
     def dimension(self) -> int:
@@ -67,22 +68,22 @@ class Stencil:
         """Largest step along an axis, in spacings."""
         return int(np.abs(self.steps).max())
 
-    def symbol(self, phase: np.ndarray) -> np.ndarray:
+    def symbol(self, phase: ndarray) -> ndarray:
         """Symbol D(k) = 2 Σ C(ξ) (1 − cos k·ξ) at k h = `phase`, [K, d] to [K, c, c]."""
         return np.tensordot(bend(phase, self.steps), self.tensors, 1)
 
     @cached_property
-    def brackets(self) -> np.ndarray:
+    def brackets(self) -> ndarray:
         """Brackets [ij, kl] = Σ C_ij ξ_k ξ_l over the half [stress], shape [c, c, d, d] (T3)."""
         xi = self.spacing * self.steps
         return np.asarray(np.einsum("nij,nk,nl->ijkl", self.tensors, xi, xi, optimize=True))
 
     @cached_property
-    def elastic(self) -> np.ndarray:
+    def elastic(self) -> ndarray:
         """Elastic tensor of long waves along the nodes' axes [stress], shape [d, d, d, d] (T4)."""
         return elastic_from_brackets(self.brackets)
 
-    def asymmetry(self, group: np.ndarray) -> float:
+    def asymmetry(self, group: ndarray) -> float:
         """Largest error of C(Rξ) = R C(ξ) Rᵗ over R [g, d, d], relative to the largest entry."""
         number, worst = numbers_of(self.steps), 0.0
         for g in group:
@@ -104,12 +105,12 @@ class Stencil:
         return Stencil(self.spacing, kept, joined)
 
 
-def numbers_of(steps: np.ndarray) -> dict[tuple[int, ...], int]:
+def numbers_of(steps: ndarray) -> dict[tuple[int, ...], int]:
     """Number of the bond of each step ξ/h of a half family, and of −ξ/h."""
     return {tuple(xi): n for half in (steps, -steps) for n, xi in enumerate(half.tolist())}
 
 
-def numbers_at(shape: Any, places: Any) -> np.ndarray:
+def numbers_at(shape: Any, places: Any) -> ndarray:
     """Numbers of places, which are indices or a mask, in an array of a shape; −1 elsewhere."""
     number = np.full(shape, -1)
     number[places] = np.arange(number[places].size)
@@ -122,12 +123,12 @@ def laplacian_stencil(spacing: float, dimension: int, components: int) -> Stenci
     return Stencil(spacing, steps, np.tile(np.eye(components), (dimension, 1, 1)) / spacing**2)
 
 
-def bend(phase: np.ndarray, steps: np.ndarray) -> np.ndarray:
+def bend(phase: ndarray, steps: ndarray) -> ndarray:
     """2 (1 − cos k·ξ) without cancellation at small k, shape [K, H]."""
     return np.asarray(4 * np.sin(phase @ steps.T / 2) ** 2)
 
 
-def smallest_eigenvalue(matrices: np.ndarray) -> np.ndarray:
+def smallest_eigenvalue(matrices: ndarray) -> ndarray:
     """Smallest eigenvalue of symmetric matrices [..., c, c], shape [...]."""
     if matrices.shape[-1] == 2:  # much faster than by LAPACK
         a, b, c = matrices[..., 0, 0], matrices[..., 1, 1], matrices[..., 0, 1]
@@ -136,7 +137,7 @@ def smallest_eigenvalue(matrices: np.ndarray) -> np.ndarray:
 
 
 def zoomed(
-    of: ArrayMap, k: np.ndarray, reach: float, *, side: int = 7, zooms: int = 8, finer: float = 3
+    of: ArrayMap, k: ndarray, reach: float, *, side: int = 7, zooms: int = 8, finer: float = 3
 ) -> Pair:
     """Smallest ratio `of` waves k h [K, d], by `side` an axis about each k [n, d], on grids ever
     finer by a factor, and where it is, [n] and [n, d]; waves below LEAST_WAVE do not count."""
@@ -152,7 +153,7 @@ def zoomed(
     return value, k
 
 
-def elastic_from_brackets(brackets: np.ndarray) -> np.ndarray:
+def elastic_from_brackets(brackets: ndarray) -> ndarray:
     """Elastic tensor [ik, jl] + [jk, il] − [jl, ik] of brackets (T4), symmetric after Huang."""
     first, second, third = (
         np.einsum(f"...{order}->...agbl", brackets) for order in ("abgl", "bgal", "blag")
@@ -160,7 +161,7 @@ def elastic_from_brackets(brackets: np.ndarray) -> np.ndarray:
     return np.asarray(first + second - third)
 
 
-def half_ball(reach: float, dimension: int) -> np.ndarray:
+def half_ball(reach: float, dimension: int) -> ndarray:
     """Steps ξ/h of one half of the bonds with |ξ| ≤ reach h, shape [H, d]. InputError for a ball
     without bonds, or with more than MOST_BONDS of a half."""
     most = min(reach, 4.0 * MOST_BONDS) ** 2 * (1 + HORIZON_TOLERANCE) ** 2
@@ -169,18 +170,18 @@ def half_ball(reach: float, dimension: int) -> np.ndarray:
         raise InputError(f"horizon: expected a few spacings, got {reach:g} of them")
     grid = grid_places(dimension * (2 * side + 1,)) - side
     grid = grid[len(grid) // 2 + 1 :]  # of ξ and −ξ just one
-    half: np.ndarray = grid[(grid**2).sum(axis=1) <= most]
+    half: ndarray = grid[(grid**2).sum(axis=1) <= most]
     if not len(half):
         raise InputError(f"horizon: expected at least one spacing, got {reach:g} of them")
     return half[np.argsort((half**2).sum(axis=1), kind="stable")]
 
 
-def laplacian(phase: np.ndarray) -> np.ndarray:
+def laplacian(phase: ndarray) -> ndarray:
     """Laplacian symbol s(k) h² = 4 Σ sin²(k_a h/2) at k h = `phase`, shape [K]."""
     return np.asarray(4 * (np.sin(phase / 2) ** 2).sum(axis=1))
 
 
-def zone_sample(group: np.ndarray, dimension: int, intervals: int) -> np.ndarray:
+def zone_sample(group: ndarray, dimension: int, intervals: int) -> ndarray:
     """Phases k h of one wave per orbit of a grid on the zone, and of very long waves, [K, d]."""
     grid = orbit_grid(intervals, group, dimension)
     axes = grid_places((3,) * dimension) - 1.0
@@ -190,7 +191,7 @@ def zone_sample(group: np.ndarray, dimension: int, intervals: int) -> np.ndarray
 
 
 def ratios(
-    steps: np.ndarray, tensors: np.ndarray, phase: np.ndarray, wave: np.ndarray | None = None
+    steps: ndarray, tensors: ndarray, phase: ndarray, wave: ndarray | None = None
 ) -> Several:
     """Λmin D/s h^−2 at k h = `phase`, [K], and its eigenvectors, [K, d]; `wave`: known bend."""
     symbol = np.tensordot(bend(phase, steps) if wave is None else wave, tensors, 1)
@@ -207,25 +208,25 @@ class Basis:
         basis: invariant tensors: C(ξ) = Σ_a p_a basis[a, ξ], shape [P, H, d, d].
     """
 
-    steps: np.ndarray
-    basis: np.ndarray
+    steps: ndarray
+    basis: ndarray
 
     @property
     def dimension(self) -> int:
         """Dimension of space: 2 or 3."""
         return int(self.steps.shape[1])
 
-    def symbol(self, phase: np.ndarray) -> np.ndarray:
+    def symbol(self, phase: ndarray) -> ndarray:
         """Symbols 2 Σ (1 − cos k·ξ) basis at k h = `phase`, [K, d] to [K, P, d, d]."""
         return np.tensordot(bend(phase, self.steps), self.basis, (1, 1))
 
-    def moments(self) -> np.ndarray:
+    def moments(self) -> ndarray:
         """Brackets [ij, kl] of each basis tensor in units of h² (T3), shape [P, d, d, d, d]."""
         x = self.steps.astype(float)
         return np.asarray(np.einsum("anij,nk,nl->aijkl", self.basis, x, x, optimize=True))
 
 
-def invariant_basis(reach: float, group: np.ndarray) -> Basis:
+def invariant_basis(reach: float, group: ndarray) -> Basis:
     """Basis of half-ball tensors with C(Rξ) = R C(ξ) Rᵗ for integer R with −1, [g, d, d]."""
     d = group.shape[1]
     steps = half_ball(reach, d)
@@ -262,13 +263,13 @@ class Grid:
         interior: places of the interior nodes, flat, in the order of the point set.
     """
 
-    axes: np.ndarray
+    axes: ndarray
     shape: Shape
     reach: int
     periodic: bool
-    near: np.ndarray
-    place: np.ndarray
-    interior: np.ndarray
+    near: ndarray
+    place: ndarray
+    interior: ndarray
 
     @property
     def dimension(self) -> int:
@@ -291,43 +292,43 @@ class Grid:
         """Whether all nodes of the interior's box are unknown."""
         return bool(self.periodic or self.unknown.all())
 
-    def mask(self) -> np.ndarray:
+    def mask(self) -> ndarray:
         """Which places of the box are unknown, in its shape."""
         asked = np.zeros(np.prod(self.shape), bool)
         asked[self.interior] = True
         return asked.reshape(self.shape)
 
     @property
-    def unknown(self) -> np.ndarray:
+    def unknown(self) -> ndarray:
         """Which places of the interior's box are unknown, in that box's shape."""
         return self.mask() if self.periodic else self.mask()[self.core]
 
-    def scatter(self, u: np.ndarray, dtype: type = np.float64) -> np.ndarray:
+    def scatter(self, u: ndarray, dtype: type = np.float64) -> ndarray:
         """Vectors of all nodes [S, N, d] along the lattice's axes, in planes [S, d, *wide]."""
-        field: np.ndarray = np.zeros((len(u), self.dimension, np.prod(self.shape)), dtype)
+        field: ndarray = np.zeros((len(u), self.dimension, np.prod(self.shape)), dtype)
         field[:, :, self.place] = (u[:, self.near] @ self.axes).mT
         return self.around(field.reshape(len(u), self.dimension, *self.shape))
 
-    def around(self, field: np.ndarray) -> np.ndarray:
+    def around(self, field: ndarray) -> ndarray:
         """A field [..., n, …] with its images beside it on a period, as it is elsewhere."""
         if not self.periodic:
             return field
         rest = field.ndim - self.dimension
         return np.pad(field, [(0, 0)] * rest + [(self.reach,) * 2] * self.dimension, mode="wrap")
 
-    def scatter_interior(self, inner: np.ndarray) -> np.ndarray:
+    def scatter_interior(self, inner: ndarray) -> ndarray:
         """Vectors of the interior nodes [I, d] laid out in planes [d, *shape], zero elsewhere."""
         field = np.zeros((self.dimension, np.prod(self.shape)))
         field[:, self.interior] = (inner @ self.axes).T
         return field.reshape(self.dimension, *self.shape)
 
-    def gather(self, planes: np.ndarray) -> np.ndarray:
+    def gather(self, planes: ndarray) -> ndarray:
         """Values of planes [S, d, *shape] at interior nodes, along the points' axes, [S, I, d]."""
         flat = planes.reshape(*planes.shape[:2], -1)[:, :, self.interior]
         return np.ascontiguousarray(flat.mT @ self.axes.T.astype(planes.dtype))
 
 
-def grid_of(points: Points, steps: np.ndarray, *, why: str = "", least: int | None = None) -> Grid:
+def grid_of(points: Points, steps: ndarray, *, why: str = "", least: int | None = None) -> Grid:
     """Lay the nodes of a lattice out for bonds of the given steps, shape [H, d] of one half.
 
     `why` is said of nodes whose bonds are cut; a period must be longer than `least` steps, by
@@ -359,7 +360,7 @@ def grid_of(points: Points, steps: np.ndarray, *, why: str = "", least: int | No
     return nodes
 
 
-def _check(points: Points, nodes: Grid, steps: np.ndarray, why: str) -> None:
+def _check(points: Points, nodes: Grid, steps: ndarray, why: str) -> None:
     """Refuse nodes given twice, and interior nodes whose bonds lead nowhere."""
     there = np.bincount(nodes.place, minlength=np.prod(nodes.shape))
     if there.max() > 1:
@@ -372,7 +373,7 @@ def _check(points: Points, nodes: Grid, steps: np.ndarray, why: str) -> None:
     refuse_cut(lacking, len(nodes.interior), points.spacing * steps, why)
 
 
-def complete(body: np.ndarray, steps: np.ndarray, r: int) -> np.ndarray:
+def complete(body: ndarray, steps: ndarray, r: int) -> ndarray:
     """Whether each place of a body's mask, padded by r, has its neighbours by all ±steps."""
     whole = np.ones([n - 2 * r for n in body.shape], bool)
     for step in np.concatenate([steps, -steps]):
@@ -380,7 +381,7 @@ def complete(body: np.ndarray, steps: np.ndarray, r: int) -> np.ndarray:
     return whole
 
 
-def block(stencil: Stencil, mask: np.ndarray, *, around: bool = False) -> sp.csc_array:
+def block(stencil: Stencil, mask: ndarray, *, around: bool = False) -> sp.csc_array:
     """Matrix of the operator between a mask's nodes, shape [d n, d n]; `around`: of a period."""
     d, here = stencil.dimension, np.argwhere(mask)
     number = numbers_at(mask.shape, mask)
@@ -400,7 +401,7 @@ def block(stencil: Stencil, mask: np.ndarray, *, around: bool = False) -> sp.csc
     return sp.csc_array((value.ravel(), at), shape=2 * (d * len(here),))
 
 
-def refuse_cut(lacking: int, count: int, xi: np.ndarray, why: str = "") -> None:
+def refuse_cut(lacking: int, count: int, xi: ndarray, why: str = "") -> None:
     """Raise InputError where some of `count` interior nodes lack neighbours by bonds ξ [H, d]."""
     if lacking:
         why = why or f"; give a collar {norm(xi, axis=1).max():g} wide"
@@ -414,7 +415,7 @@ class ByRows:
     """Stencil product by rows; the bits are the same on any number of threads."""
 
     def __init__(
-        self, nodes: Grid, steps: np.ndarray, tensors: np.ndarray, dtype: Any = np.float64
+        self, nodes: Grid, steps: ndarray, tensors: ndarray, dtype: Any = np.float64
     ) -> None:
         self.nodes, self.core = nodes, (slice(None), slice(None), *nodes.core)
         self.dtype, self.scalar = np.dtype(dtype), SCALARS[np.dtype(dtype)]
@@ -428,7 +429,7 @@ class ByRows:
         places = np.flatnonzero(mask)
         self.asked: Any = ints(row_pieces(places, self.kernels.lanes, places)[:, ::2], wp.vec2i)
 
-    def __call__(self, planes: np.ndarray) -> np.ndarray:
+    def __call__(self, planes: ndarray) -> ndarray:
         """L u at the unknown nodes of planes [S, d, *wide]; planes [S, d, *shape], else zero."""
         nodes, count, lanes = self.nodes, len(planes), self.kernels.lanes
         room = np.zeros(planes.size + lanes, self.dtype)  # for lanes that read beyond
@@ -443,7 +444,7 @@ class ByRows:
         return force[self.core] if nodes.periodic else force
 
 
-def row_pieces(places: np.ndarray, lanes: int, numbers: np.ndarray) -> np.ndarray:
+def row_pieces(places: ndarray, lanes: int, numbers: ndarray) -> ndarray:
     """Cut runs of rising places and numbers to lanes: first place, first number, count [P, 3]."""
     begin = np.flatnonzero(np.diff(places, prepend=-2) - 1 | np.diff(numbers, prepend=-2) - 1)
     length = np.diff(np.append(begin, len(places)))
@@ -458,14 +459,14 @@ class ByFFT:
     """Stencil product by FFT on a torus that nothing reaches around, exact but for rounding."""
 
     def __init__(
-        self, nodes: Grid, steps: np.ndarray, tensors: np.ndarray, dtype: Any = np.float64
+        self, nodes: Grid, steps: ndarray, tensors: ndarray, dtype: Any = np.float64
     ) -> None:
         self.nodes, self.dtype = nodes, np.dtype(dtype)
         self.torus = torus_shape(nodes)
         self.symbol = torus_symbol(self.torus, steps, tensors).astype(self.dtype)
         self.mask = nodes.mask()
 
-    def __call__(self, planes: np.ndarray) -> np.ndarray:
+    def __call__(self, planes: ndarray) -> ndarray:
         """L u at the unknown nodes of planes [S, d, *wide]; planes [S, d, *shape], else zero."""
         nodes = self.nodes
         if nodes.periodic:
@@ -481,7 +482,7 @@ def torus_shape(nodes: Grid) -> Shape:
     return tuple(scipy.fft.next_fast_len(n, real=True) for n in nodes.shape)
 
 
-def torus_symbol(torus: Shape, steps: np.ndarray, tensors: np.ndarray) -> np.ndarray:
+def torus_symbol(torus: Shape, steps: ndarray, tensors: ndarray) -> ndarray:
     """Symbol D(k) (or D(k) h², as tensors are) at waves of a torus [d, d, *half a torus]."""
     d = len(torus)
     symbol = np.empty((d, d, *torus[:-1], torus[-1] // 2 + 1))
@@ -495,7 +496,7 @@ def torus_symbol(torus: Shape, steps: np.ndarray, tensors: np.ndarray) -> np.nda
     return symbol
 
 
-def convolved(symbol: np.ndarray, field: np.ndarray, torus: Shape) -> np.ndarray:
+def convolved(symbol: ndarray, field: ndarray, torus: Shape) -> ndarray:
     """Convolve a symbol with one field [d, …] in a corner of the torus, there."""
     how = {"s": torus, "axes": range(1, len(torus) + 1), "workers": get_num_threads()}
     mixed = np.einsum("ij...,j...->i...", symbol, scipy.fft.rfftn(field, **how))
@@ -503,7 +504,7 @@ def convolved(symbol: np.ndarray, field: np.ndarray, torus: Shape) -> np.ndarray
     return np.asarray(whole[:, *map(slice, field.shape[1:])])
 
 
-def inverse(symbol: np.ndarray) -> np.ndarray:
+def inverse(symbol: ndarray) -> ndarray:
     """Inverse of symbol matrices [d, d, …]; 0 where that has none (k = 0)."""
     answer, largest, first = np.empty_like(symbol), np.abs(symbol).max(), (0,) * (symbol.ndim - 3)
     for row in range(symbol.shape[2]):  # in space all matrices at once are much memory

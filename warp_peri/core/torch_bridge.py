@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 import torch
+from numpy import ndarray
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator, gmres, splu
 from torch.autograd import forward_ad
@@ -193,11 +194,11 @@ def force_with_parameters(operator: Any, u: torch.Tensor, numbers: Numbers) -> t
     """Force of fields [S, N, d] with other numbers, by an operator's `at` and `by_numbers`."""
     names, made = list(numbers), list[Any]()
 
-    def there(u: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray]:
+    def there(u: ndarray, *values: ndarray) -> tuple[ndarray]:
         made[:] = u, with_numbers(operator, dict(zip(names, values)))[0]
         return (made[1].force(u),)
 
-    def back(asked: tuple[bool, ...], w: np.ndarray) -> list[Any]:
+    def back(asked: tuple[bool, ...], w: ndarray) -> list[Any]:
         u, at = made
         slopes = by_numbers(at, [*compress(names, asked[1:])], u, w)
         return [at.vjp(u, w) if asked[0] else None, *map(slopes.get, names)]
@@ -206,7 +207,7 @@ def force_with_parameters(operator: Any, u: torch.Tensor, numbers: Numbers) -> t
     return force  # type: ignore[no-any-return]
 
 
-def by_numbers(operator: Any, names: list[str], u: np.ndarray, w: np.ndarray) -> Values:
+def by_numbers(operator: Any, names: list[str], u: ndarray, w: ndarray) -> Values:
     """Derivatives of Σ w · force(u) by numbers, for fields [K, N, d] and weights [K, I, d]."""
     if not names:
         return {}
@@ -241,11 +242,11 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any = None, parameters: Any =
     numbers = [*named.values(), *operator.networks]
     found: list[Any] = []
 
-    def there(b: np.ndarray, u: np.ndarray, *_: np.ndarray) -> tuple[np.ndarray]:
+    def there(b: ndarray, u: ndarray, *_: ndarray) -> tuple[ndarray]:
         found.append(_rest(operator, b, u, solver))
         return (found[-1].u,)
 
-    def back(asked: tuple[bool, ...], g: np.ndarray) -> list[Any]:
+    def back(asked: tuple[bool, ...], g: ndarray) -> list[Any]:
         u = found[0].u
         w, *by = _pulled(operator, u, g, solver)
         u = u.reshape(-1, *operator.shape)
@@ -268,14 +269,14 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any = None, parameters: Any =
     return replace(found[0], u=answer.to(given if given.is_floating_point() else answer))
 
 
-def _rest(operator: Any, b: np.ndarray, u: np.ndarray, solver: Any) -> Any:
+def _rest(operator: Any, b: ndarray, u: ndarray, solver: Any) -> Any:
     """Solution by an operator; of nodes without a collar that of a period."""
     if operator.points.interior.all() and hasattr(operator, "solve_periodic"):
         return operator.solve_periodic(b, solver)
     return operator.solve(b, u, solver)
 
 
-def _pulled(operator: Any, u: np.ndarray, g: np.ndarray, solver: Any) -> Several:
+def _pulled(operator: Any, u: ndarray, g: ndarray, solver: Any) -> Several:
     """Adjoint L′⁻ᵗ g on the interior [..., I, d], L′ at the answer, and derivatives to b and u."""
     one, inside = operator.shape, operator.points.interior
     axis = -len(one)
@@ -288,7 +289,7 @@ def _pulled(operator: Any, u: np.ndarray, g: np.ndarray, solver: Any) -> Several
     return w, operator.on_all(w), (g - operator.vjp(u, w)) * operator.held
 
 
-def _transposed(operator: Any, fields: np.ndarray, g: np.ndarray) -> np.ndarray:
+def _transposed(operator: Any, fields: ndarray, g: ndarray) -> ndarray:
     """L′⁻ᵗ g of each field on the interior, by factors, or by GMRES of many tangents."""
     right, factors, found = g.reshape(len(fields), -1), None, []
     if hasattr(operator, "transposed"):
@@ -310,7 +311,7 @@ def _transposed(operator: Any, fields: np.ndarray, g: np.ndarray) -> np.ndarray:
     return np.array(found)
 
 
-def in_steps(operator: Any, u: np.ndarray, g: np.ndarray, inverse: Any) -> np.ndarray:
+def in_steps(operator: Any, u: ndarray, g: ndarray, inverse: Any) -> ndarray:
     """L′⁻ᵗ g on the interior by GMRES, [d I], of one field [N, d] and g [I, d], preconditioned by
     the solid's `inverse`; InputError where L′ is nearly singular."""
     inside = operator.points.interior
@@ -380,7 +381,7 @@ class Swept(OperatorBase):
     size: int
     parts = 1
 
-    def _swept(self, sweep: Any, *fields: ArrayLike, total: bool = False) -> np.ndarray:
+    def _swept(self, sweep: Any, *fields: ArrayLike, total: bool = False) -> ndarray:
         """Results of a sweep over fields [S, N, d], a few at once, in their leading shape."""
         given = [self.as_fields(field) for field in fields]
         for each in given:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from numpy import ndarray
 from numpy.linalg import eigvalsh
 from numpy.typing import ArrayLike
 
@@ -73,20 +74,20 @@ class BodySolution:
     tried: tuple[Tried, ...]
     moduli: Moduli
     rim: Rim
-    u_rim: np.ndarray
+    u_rim: ndarray
     points: Points | None
-    u_bulk: np.ndarray
+    u_bulk: ndarray
     overlap: float
     exchange: Exchange
     problem: Schwarz | RimProblem
 
     @property
-    def rim_stress(self) -> np.ndarray:
+    def rim_stress(self) -> ndarray:
         """Stress σ [TPa] at the rim's nodes, shape [n, d, d]."""
         return self.rim.stress(self.moduli, self.u_rim)
 
     @property
-    def bulk_stress(self) -> np.ndarray:
+    def bulk_stress(self) -> ndarray:
         """Stress σ [TPa] at the unknown nodes of the bulk, shape [I, d, d]."""
         if not isinstance(self.problem, Schwarz):
             return np.zeros((0, self.rim.d, self.rim.d))
@@ -120,7 +121,7 @@ class BodySolution:
             B = to_x[:, ~in_rim] @ cubic(self.points, x[~in_rim]) @ unknown
         return sp.csr_array(R), sp.csr_array(B)
 
-    def displacement(self, x: ArrayLike) -> np.ndarray:
+    def displacement(self, x: ArrayLike) -> ndarray:
         """Displacement [Å] at positions of the body, both of shape [m, 2]; as `probe`."""
         R, B = self.probe(x)
         return np.asarray(R @ self.u_rim + B @ self.u_bulk)
@@ -267,9 +268,9 @@ class BodyGradient:
 
     lam: float
     mu: float
-    f: np.ndarray
-    b: np.ndarray
-    given: np.ndarray
+    f: ndarray
+    b: ndarray
+    given: ndarray
     solution: BodySolution
 
     def along(
@@ -318,7 +319,7 @@ def body_gradient(
     return BodyGradient(-by_lam, -(here - model.lam * by_lam) / model.mu, f, b, given, solution)
 
 
-def _work(solution: BodySolution, model: LPSMaterial, f: np.ndarray, b: np.ndarray) -> float:
+def _work(solution: BodySolution, model: LPSMaterial, f: ndarray, b: ndarray) -> float:
     """Virtual work w · K u + v · L u with the λ and μ of a model."""
     K = solution.rim.stiffness(long_wave(model, solution.spacing))
     total = np.vdot(f, K @ solution.u_rim.ravel())

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from numpy import ndarray
 from numpy.linalg import norm, pinv
 from numpy.typing import ArrayLike
 from scipy.ndimage import binary_dilation
@@ -25,7 +26,7 @@ from warp_peri.solvers.systems import loose_pieces
 
 Field = ArrayMap
 """Vectors, shape [n, d], at positions [Å], shape [n, d]."""
-Traction = Callable[[np.ndarray, np.ndarray], np.ndarray]
+Traction = Callable[[ndarray, ndarray], ndarray]
 """Force per area [TPa], shape [n, d], at positions and outward normals, each of shape [n, d]."""
 
 
@@ -33,7 +34,7 @@ Traction = Callable[[np.ndarray, np.ndarray], np.ndarray]
 class Moduli:
     """Elastic moduli C_ijkl [stress] of a solid, shape [d, d, d, d]."""
 
-    tensor: np.ndarray
+    tensor: ndarray
 
     @classmethod
     def square(cls, C11: float, C12: float, C44: float) -> Moduli:
@@ -45,7 +46,7 @@ class Moduli:
         for at in ((0, 0, 0, 0), (0, 0, 1, 1), (0, 1, 0, 1))
     )
 
-    def stress(self, gradient: np.ndarray) -> np.ndarray:
+    def stress(self, gradient: ndarray) -> ndarray:
         """Stress σ [stress] of displacement gradients, both of shape [..., d, d]."""
         return np.asarray(np.einsum("ijkl,...kl->...ij", self.tensor, gradient))
 
@@ -58,7 +59,7 @@ class Rim:
     """Elements of degree 1, or of degree 2 and curved at the outline, on cells `kept` [T] of a
     mesh. Node i has the displacements d i to d i + d − 1."""
 
-    def __init__(self, mesh: Mesh, kept: np.ndarray, degree: int = 2) -> None:
+    def __init__(self, mesh: Mesh, kept: ndarray, degree: int = 2) -> None:
         needed = "scikit-fem is not installed: pip install 'warp_peri[bodies]'"
         self._fem, self.d, self.mesh = optional("skfem", needed), mesh.dimension, mesh
         kind = {2: "Tri", 3: "Tet"}[self.d]
@@ -80,15 +81,15 @@ class Rim:
         self.x = np.asarray(self.basis.doflocs.T)
         self.inner = self._nodes(np.setdiff1d(straight.boundary_facets(), self.facets))
 
-    def _nodes(self, facets: np.ndarray) -> np.ndarray:
+    def _nodes(self, facets: ndarray) -> ndarray:
         return np.asarray(self.basis.get_dofs(facets).flatten(), int)
 
     @property
-    def corner_nodes(self) -> np.ndarray:
+    def corner_nodes(self) -> ndarray:
         """Nodes at the mesh's corners `corners`, in their order."""
         return np.asarray(self.basis.nodal_dofs[0])
 
-    def nodes_of(self, part: str) -> np.ndarray:
+    def nodes_of(self, part: str) -> ndarray:
         """Nodes on a named part of the outline."""
         return self._nodes(self.facets[self.mesh.parts[part]])
 
@@ -106,24 +107,24 @@ class Rim:
         C, squares = moduli.tensor, self._squares.items()
         return sp.csr_array(sum(sp.kron(square, C[:, a, :, c]) for (a, c), square in squares))
 
-    def body_force(self, b: Field) -> np.ndarray:
+    def body_force(self, b: Field) -> ndarray:
         """Nodal loads ∫ b · φ [TPa Å], shape [n, d], of a body force density [TPa/Å]."""
         return self._load(self.basis, b)
 
-    def traction(self, part: str, t: Traction) -> np.ndarray:
+    def traction(self, part: str, t: Traction) -> ndarray:
         """Nodal loads ∫ t · φ [TPa Å], shape [n, d], of a force per area [TPa] on a part."""
         facets, on = self.facets[self.mesh.parts[part]], (self.basis.mesh, self.element)
         basis = self._fem.FacetBasis(*on, facets=facets, intorder=self.order)
         return self._load(basis, lambda x: t(x, _points(basis.normals)))
 
-    def _load(self, basis: Any, density: Field) -> np.ndarray:
+    def _load(self, basis: Any, density: Field) -> ndarray:
         x, f = np.asarray(basis.global_coordinates()), np.zeros_like(self.x)
         values = density(_points(x)).reshape(*x.shape[1:], self.d)
         for nodes, of in zip(basis.element_dofs, basis.basis):
             np.add.at(f, nodes, np.einsum("eq,eqa->ea", np.asarray(of[0]) * basis.dx, values))
         return f
 
-    def probe(self, x: np.ndarray, holding: np.ndarray) -> sp.csr_array:
+    def probe(self, x: ndarray, holding: ndarray) -> sp.csr_array:
         """Matrix [m, n] from nodal values to values at x [m, d], in the rim's cells `holding`."""
         cells, mapping = self.cells[holding], self.basis.mapping
         at, count = self._places(x, cells), range(self.basis.Nbfun)
@@ -132,7 +133,7 @@ class Rim:
         entries = np.reshape(values, -1), (np.tile(np.arange(len(x)), len(count)), columns)
         return sp.csr_array(entries, shape=(len(x), len(self.x)))
 
-    def _places(self, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    def _places(self, x: ndarray, cells: ndarray) -> ndarray:
         """Positions in coordinates of their cells, or a little outside, [d, m, 1], by Newton."""
         mapping, goal = self.basis.mapping, x.T[:, :, None]
         places = np.full(goal.shape, 1 / (self.d + 1))
@@ -144,7 +145,7 @@ class Rim:
                 return np.asarray(places)
         raise InputError("mesh: expected curved cells that are one-to-one, some are folded")
 
-    def stress(self, moduli: Moduli, u: np.ndarray) -> np.ndarray:
+    def stress(self, moduli: Moduli, u: ndarray) -> ndarray:
         """Stress σ [TPa] at the nodes, shape [n, d, d]: means over the elements that meet there.
 
         In each element it is the linear field through its values at d + 1 places inside, which are
@@ -169,20 +170,20 @@ class RimProblem(LinearOperator):  # type: ignore[misc]
     """Problem K u = f with displacements given where `fixed` [d n], factorised once; K in TPa. A
     linear map from (f, given), flat [2 d n], to u, flat [d n]."""
 
-    def __init__(self, K: sp.csr_array, fixed: np.ndarray) -> None:
+    def __init__(self, K: sp.csr_array, fixed: ndarray) -> None:
         super().__init__(float, (len(fixed), 2 * len(fixed)))
         self.free, self._rows = ~fixed, K[~fixed]
         self.inside = sp.csc_array(self._rows[:, self.free])
         self._factors = splu(self.inside, permc_spec="MMD_AT_PLUS_A") if not fixed.all() else None
 
-    def _matvec(self, q: np.ndarray) -> np.ndarray:
+    def _matvec(self, q: ndarray) -> ndarray:
         f, given = np.split(q.ravel(), 2)
         u = np.where(self.free, 0.0, given)
         if self._factors:
             u[self.free] = self._factors.solve(f[self.free] - self._rows @ u)
         return u
 
-    def _rmatvec(self, by_u: np.ndarray) -> np.ndarray:
+    def _rmatvec(self, by_u: ndarray) -> ndarray:
         """Derivatives by f and by given displacements, of derivatives by u."""
         by_f = np.zeros((2, len(self.free)))
         if self._factors:
@@ -191,13 +192,13 @@ class RimProblem(LinearOperator):  # type: ignore[misc]
         by_f[1] = np.where(self.free, 0.0, by_u.ravel() + by_f[1])
         return by_f.ravel()
 
-    def residual(self, f: np.ndarray, u: np.ndarray) -> float:
+    def residual(self, f: ndarray, u: ndarray) -> float:
         """Residual ‖K u − f‖ over ‖f − K of what is given‖ on the free displacements."""
         left, right = (f[self.free] - self._rows @ one for one in (u, np.where(self.free, 0.0, u)))
         return float(norm(left) / (norm(right) or 1.0))
 
 
-def _columns(asked: np.ndarray, there: np.ndarray) -> np.ndarray:
+def _columns(asked: ndarray, there: ndarray) -> ndarray:
     """Column of `there` [k, m] with the numbers of each row of `asked` [n, k], −1 for none."""
     size = (there.max() + 1) ** np.arange(len(there))
     known, keys = size @ np.sort(there, axis=0), np.sort(asked, axis=1) @ size
@@ -206,7 +207,7 @@ def _columns(asked: np.ndarray, there: np.ndarray) -> np.ndarray:
     return np.where((known[found] == keys) & (asked >= 0).all(axis=1), found, -1)
 
 
-def _points(field: Any) -> np.ndarray:
+def _points(field: Any) -> ndarray:
     """Reshape a field [d, elements, places] to [n, d]."""
     return np.moveaxis(np.asarray(field), 0, -1).reshape(-1, len(field))
 
@@ -225,14 +226,14 @@ class BodyLoads:
     pulls: Mapping[str, Traction]
     b: Field | None
 
-    def on(self, rim: Rim) -> np.ndarray:
+    def on(self, rim: Rim) -> ndarray:
         """Load of tractions and the body force on the nodes of elements [TPa Å], shape [n, d]."""
         f = np.zeros_like(rim.x) if self.b is None else rim.body_force(self.b)
         for name, pull in self.pulls.items():
             f += rim.traction(name, pull)
         return f
 
-    def density(self, x: np.ndarray, spacing: float) -> np.ndarray:
+    def density(self, x: ndarray, spacing: float) -> ndarray:
         """Body force density [TPa/Å] at lattice nodes x, along the axes [Å], both of shape [n, d].
 
         The mean around a node, read up to 2.5 spacings away (B16): no force is lost between nodes,
@@ -276,7 +277,7 @@ class BodyLoads:
             whose[nodes] = np.where(known, n, whose[nodes])
         return np.nan_to_num(given), np.isfinite(given)
 
-    def refuse_loose(self, rim: Rim, fixed: np.ndarray) -> None:
+    def refuse_loose(self, rim: Rim, fixed: ndarray) -> None:
         """Raise InputError when displacements that are fixed, [n, d], let a piece move rigidly."""
         piece, label = pieces(rim.mesh.cells), np.zeros(len(rim.x), int)
         label[rim.basis.element_dofs] = piece[rim.cells >= 0]
@@ -319,7 +320,7 @@ def _field(name: str, value: Field | Traction | ArrayLike, *of: str, free: bool 
     if callable(value):
         check_function(name, value, *of)
 
-    def answer(*where: np.ndarray) -> np.ndarray:
+    def answer(*where: ndarray) -> ndarray:
         given = called(f"{name}: {OF_POSITIONS}", value, *map(np.copy, where))
         vectors, shape = checked(name, given, read=False), where[0].shape
         own = shape[1:] if vectors.shape == shape[1:] else shape

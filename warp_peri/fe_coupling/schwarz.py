@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from numpy import ndarray
 from numpy.linalg import norm
 from scipy.ndimage import distance_transform_edt
 from scipy.sparse.linalg import LinearOperator, aslinearoperator, gmres
@@ -38,7 +39,7 @@ LOOSEST = 1e-3
 
 def bulk_points(
     mesh: Mesh, spacing: float, reach: float, depth: float, *, units: Units
-) -> tuple[Points, np.ndarray] | None:
+) -> tuple[Points, ndarray] | None:
     """Lattice nodes of a body, multiples of the spacing [Å], and the cell that holds each, [N].
 
     Unknown are those at least `depth` [Å] inside, the collar reaches `reach` [Å] from them. None
@@ -87,32 +88,32 @@ class Bulk(LinearOperator):  # type: ignore[misc]
         self._inverse = self.linear.cheapest_inverse(EXCHANGES)
         super().__init__(float, (self.inside.size * points.dimension, points.x.size))
 
-    def joined(self, inner: np.ndarray, collar: np.ndarray) -> np.ndarray:
+    def joined(self, inner: ndarray, collar: ndarray) -> ndarray:
         """Field of all nodes [N, d], from its values on the unknown ones and on the collar."""
         u = np.empty_like(self.points.x)
         u[self.inside], u[self.collar] = inner.reshape(-1, u.shape[1]), collar
         return u
 
-    def residual(self, b: np.ndarray, u: np.ndarray) -> float:
+    def residual(self, b: ndarray, u: ndarray) -> float:
         """Residual ‖L u − b‖ over ‖b − L of the collar‖."""
         held = self.joined(0 * u[self.inside], u[self.collar])
         left, right = (norm(b - self.linear(one[None])[0]) for one in (u, held))
         return float(left / (right or 1.0))
 
-    def _matvec(self, q: np.ndarray) -> np.ndarray:
+    def _matvec(self, q: ndarray) -> ndarray:
         b, collar = np.split(q.reshape(-1, self.points.dimension), [len(self.inside)])
         return self._solved(b - self.linear(self.joined(0 * b, collar)[None])[0])
 
-    def _rmatvec(self, by: np.ndarray) -> np.ndarray:
+    def _rmatvec(self, by: ndarray) -> ndarray:
         w = self._solved(by.reshape(-1, self.points.dimension))
         return np.append(w, -self.linear.push(w.reshape(len(self.inside), -1))[self.collar])
 
-    def _solved(self, right: np.ndarray) -> np.ndarray:
+    def _solved(self, right: ndarray) -> ndarray:
         """Solve L_II u = right [I, d], well within the accuracy."""
         return np.ravel(self._inverse(right, min(LOOSEST, SHARE * self.accuracy)))
 
 
-def cubic(points: Points, x: np.ndarray) -> sp.csr_array:
+def cubic(points: Points, x: ndarray) -> sp.csr_array:
     """Matrix [m, I] of cubic Lagrange interpolation from the 4^d nodes around each position (B5).
     Raises InputError where one of them is not unknown."""
     h, d = points.spacing, x.shape[1]
@@ -232,7 +233,7 @@ def _wave_error(model: LPSMaterial, wave_number: float) -> float:
     return float(np.interp(wave_number, numbers, errors, right=np.inf))
 
 
-def _depth_and_wave_number(mesh: Mesh, b: Field | None) -> tuple[np.ndarray, float]:
+def _depth_and_wave_number(mesh: Mesh, b: Field | None) -> tuple[ndarray, float]:
     """Distance of points of a body from its outline [Å], and √(Σ |∇b|² / Σ |b|²) of its load."""
     low, high = mesh.x.min(axis=0), mesh.x.max(axis=0)
     step = float(np.sqrt(np.prod(high - low) / SAMPLES))
@@ -269,8 +270,8 @@ class Exchange:
 
 
 def in_elements(
-    moduli: Moduli, loads: BodyLoads, rim: Rim, outside: np.ndarray
-) -> tuple[np.ndarray, LinearOperator]:
+    moduli: Moduli, loads: BodyLoads, rim: Rim, outside: ndarray
+) -> tuple[ndarray, LinearOperator]:
     """First guess of the rim's inner side [Å], flat [d G], and (I − M)⁻¹ of its jumps, [d G, d G].
 
     Both are of the whole body in linear elements: with these as bulk an exchange would be g ↦ M g +
@@ -313,7 +314,7 @@ class Schwarz:
     """
 
     def __init__(
-        self, rim: Rim, problem: RimProblem, bulk: Bulk, cell: np.ndarray, whole: Any
+        self, rim: Rim, problem: RimProblem, bulk: Bulk, cell: ndarray, whole: Any
     ) -> None:
         self.rim, self.bulk, self.d, self.inner = problem, bulk, rim.d, rim.inner
         self.guess, self.correct = whole
@@ -327,21 +328,21 @@ class Schwarz:
         shape = n + inside, 2 * n + inside
         self.once = LinearOperator(shape, self._once, self._transposed, dtype=float)
 
-    def _once(self, q: np.ndarray) -> np.ndarray:
+    def _once(self, q: ndarray) -> ndarray:
         f_and_given, b = np.split(q.ravel(), [self.rim.shape[1]])
         of_rim = self.rim @ f_and_given
         collar = self.to_bulk @ of_rim.reshape(-1, self.d)
         return np.append(of_rim, self.bulk @ np.append(b, collar))
 
-    def _transposed(self, by: np.ndarray) -> np.ndarray:
+    def _transposed(self, by: ndarray) -> ndarray:
         by_rim, by_bulk = np.split(by.ravel(), [self.rim.shape[0]])
         by_b, by_collar = np.split(self.bulk.T @ by_bulk, [len(by_bulk)])
         pushed = self.to_bulk.T @ by_collar.reshape(-1, self.d)
         return np.append(self.rim.T @ (by_rim + pushed.ravel()), by_b)
 
     def solve(
-        self, f: np.ndarray, given: np.ndarray, b: np.ndarray, tolerance: float
-    ) -> tuple[np.ndarray, np.ndarray, Exchange]:
+        self, f: ndarray, given: ndarray, b: ndarray, tolerance: float
+    ) -> tuple[ndarray, ndarray, Exchange]:
         """Displacements of rim [n, d] and bulk [N, d] that agree to a tolerance, and the record.
 
         For the load f [TPa Å] and held displacement on the rim, [n, d], and the body force density
@@ -363,7 +364,7 @@ class Schwarz:
         record.bulk_residual = self.bulk.residual(b, u_bulk)
         return of_rim, u_bulk, record
 
-    def transposed(self, by_rim: np.ndarray, by_bulk: np.ndarray, tolerance: float) -> Several:
+    def transposed(self, by_rim: ndarray, by_bulk: ndarray, tolerance: float) -> Several:
         """Derivatives by f, given and b, of derivatives by u on rim [n, d] and bulk [N, d]."""
         by_rim = by_rim + self.to_bulk.T @ by_bulk[self.bulk.collar]
         by, n = np.append(by_rim, by_bulk[self.bulk.inside]), by_rim.size
@@ -374,17 +375,17 @@ class Schwarz:
         return by_f, by_given, by_b
 
     def _joined(
-        self, ways: tuple[Any, ...], q: np.ndarray, side: np.ndarray, tolerance: float
-    ) -> tuple[np.ndarray, Exchange]:
+        self, ways: tuple[Any, ...], q: ndarray, side: ndarray, tolerance: float
+    ) -> tuple[ndarray, Exchange]:
         """Solve u = once (q + place g), g = read u by GMRES, later vectors less accurately (B6).
         The `ways` are once, place, read, and the first guess of the inverse of a jump."""
         (once, place, read, correct), record, bulk = ways, Exchange(), self.bulk
 
-        def exchange(q: np.ndarray) -> np.ndarray:
+        def exchange(q: ndarray) -> ndarray:
             record.exchanges += 1
             return np.asarray(once @ q)
 
-        def left(v: np.ndarray) -> np.ndarray:
+        def left(v: ndarray) -> ndarray:
             step = correct @ v
             return np.asarray(step - read @ exchange(place @ step))
 

@@ -22,6 +22,7 @@ from xml.parsers import expat
 
 import h5py
 import numpy as np
+from numpy import ndarray
 
 from warp_peri.errors import Arrays, InputError, StrPath, Values, optional
 
@@ -159,7 +160,7 @@ def plain(value: Any) -> Any:
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain(item) for item in value]
-    if isinstance(value, (np.ndarray, np.generic)):
+    if isinstance(value, (ndarray, np.generic)):
         return value.tolist()
     return value
 
@@ -313,17 +314,13 @@ def meshio_of(extra: str = "export") -> Any:
     return optional("meshio", f"meshio is not installed: pip install 'warp_peri[{extra}]'")
 
 
-def in_space(values: np.ndarray) -> np.ndarray:
+def in_space(values: ndarray) -> ndarray:
     """Vectors [n, 2] with a third component; other arrays as they are."""
     return np.pad(values, ((0, 0), (0, 1))) if values.shape[1:] == (2,) else values
 
 
 def write_vtu(
-    path: StrPath,
-    x: np.ndarray,
-    cells: tuple[str, np.ndarray],
-    fields: Arrays,
-    extra: str = "export",
+    path: StrPath, x: ndarray, cells: tuple[str, ndarray], fields: Arrays, extra: str = "export"
 ) -> None:
     """Write nodes [N, d], cells [C, n] of one kind and named fields [N, ...] to a VTU file;
     InputError without meshio, naming the extra that brings it."""

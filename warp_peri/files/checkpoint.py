@@ -24,6 +24,7 @@ from weakref import WeakKeyDictionary
 
 import h5py
 import numpy as np
+from numpy import ndarray
 from scipy.spatial import cKDTree
 
 from warp_peri import __version__
@@ -58,8 +59,8 @@ def nodal_fingerprint(nodes: Any, *parts: Any) -> str:
     """Fingerprint of what arrays, of rows on these nodes or more, have on the own ones, whoever
     owns them, and of other values as printed."""
     number = np.arange(nodes.count) if nodes.number is None else nodes.number[nodes.own]
-    arrays = [part[nodes.own][: len(number)] for part in parts if isinstance(part, np.ndarray)]
-    others = [part for part in parts if not isinstance(part, np.ndarray)]
+    arrays = [part[nodes.own][: len(number)] for part in parts if isinstance(part, ndarray)]
+    others = [part for part in parts if not isinstance(part, ndarray)]
     marks = np.zeros((len(arrays), 2), np.uint64)
     with np.errstate(over="ignore"):
         start = _mixed(number.astype(np.uint64))
@@ -82,28 +83,28 @@ class AllNodes:
     """
 
     own: Any = slice(None)
-    number: np.ndarray | None = None
+    number: ndarray | None = None
     comm: Any = ALONE
     mark = nodal_fingerprint
 
     def __init__(self, count: int) -> None:
         self.count = count
 
-    def sum(self, values: np.ndarray) -> np.ndarray:
+    def sum(self, values: ndarray) -> ndarray:
         """Sum of values [n, ...] over all nodes, whoever has them, shape [...]."""
         return np.asarray(values.sum(axis=0))
 
-    def gather(self, values: np.ndarray) -> np.ndarray:
+    def gather(self, values: ndarray) -> ndarray:
         """Values [n, ...] of the own nodes gathered on all nodes of the body."""
         return values
 
 
-def _mixed(x: np.ndarray) -> np.ndarray:
+def _mixed(x: ndarray) -> ndarray:
     """Hash numbers by Splitmix64, a bijection that spreads every bit."""
     x = x + np.uint64(0x9E3779B97F4A7C15)
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    mixed: np.ndarray = x ^ (x >> np.uint64(31))
+    mixed: ndarray = x ^ (x >> np.uint64(31))
     return mixed
 
 
@@ -141,7 +142,7 @@ def _spelled(part: Any) -> tuple[bytes, list[Any]]:
         number, real = complex(part), complex(part).real
         whole = int(real) if real.is_integer() and str(real) != "-0.0" else real
         said = repr(number if number.imag else whole)
-    elif isinstance(part, np.ndarray) and part.dtype != object:
+    elif isinstance(part, ndarray) and part.dtype != object:
         part = part.astype(part.dtype.newbyteorder("="), copy=False)
         said, data = f"{part.dtype}{part.shape}", part.tobytes()
         held = [getattr(part, "mask", None)]
@@ -149,7 +150,7 @@ def _spelled(part: Any) -> tuple[bytes, list[Any]]:
         held = [*((key, part[key]) for key in part), getattr(part, "default_factory", None)]
     elif isinstance(part, UNORDERED):
         said, held = "set", [*part]
-    elif isinstance(part, (list, tuple, deque, np.ndarray)):
+    elif isinstance(part, (list, tuple, deque, ndarray)):
         said, held = f"{len(part)} of", [*part]
     elif iscode(part):
         steps = [(s.opcode in hasconst, s) for s in get_instructions(part)]
@@ -325,7 +326,7 @@ class RunFile:
             if comm.rank == 0:
                 write_arrays(self.path, whole | {"values": text}, head)
 
-    def _mark(self, nodal: Arrays, text: np.ndarray) -> str:
+    def _mark(self, nodal: Arrays, text: ndarray) -> str:
         """Fingerprint of arrays on the own nodes, and of the first rank's values."""
         own = getattr(self.nodes, "piece", self.nodes)
         values = self.nodes.comm.bcast(fingerprint(text))

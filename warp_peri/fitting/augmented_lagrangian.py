@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from numpy import ndarray
 from numpy.linalg import eigh, norm
 
 from warp_peri.fitting.regression import Linearised, Regression, Settled, felt, particular
@@ -128,7 +129,7 @@ def printed_state(conditions: int) -> list[torch.Tensor]:
 
 def to_the_optimum(
     problem: Regression,
-    theta: np.ndarray,
+    theta: ndarray,
     loss: Callable[[torch.Tensor], torch.Tensor],
     method: AugmentedLagrangian,
     tick: Tick,
@@ -186,7 +187,7 @@ def margins_of(problem: Regression, theta: torch.Tensor) -> torch.Tensor:
     return torch.from_numpy(now.margins) + torch.from_numpy(now.M) @ (theta - there)
 
 
-def _frame(now: Linearised, phi: np.ndarray, psi: float, damping: float) -> np.ndarray:
+def _frame(now: Linearised, phi: ndarray, psi: float, damping: float) -> ndarray:
     """Matrix of θ by x within the equalities, curvatures damped relative to the largest."""
     free = particular(now.A, now.equal)[1]
     J, M = now.J @ free, now.M[now.margins + phi / psi < CLOSE] @ free
@@ -196,8 +197,8 @@ def _frame(now: Linearised, phi: np.ndarray, psi: float, damping: float) -> np.n
     return np.asarray(free @ (axes / np.sqrt(np.maximum(values, 0) + damping) / size[:, None]))
 
 
-def _equal(y: np.ndarray, now: Linearised) -> np.ndarray:
+def _equal(y: ndarray, now: Linearised) -> ndarray:
     """Nearest y that meets the linearised equalities."""
     width = 1 / felt(norm(now.J, axis=0))
-    met: np.ndarray = y + width * particular(now.A * width, -now.equal)[0]
+    met: ndarray = y + width * particular(now.A * width, -now.equal)[0]
     return met

@@ -10,6 +10,7 @@ from itertools import combinations_with_replacement
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 from numpy.linalg import pinv, qr, solve, svd, trace
 
 from warp_peri.core.elastic import allowed_tensors, symmetric_part
@@ -141,7 +142,7 @@ def diagnose(material: Any, samples: Samples, noise: Samples | None = None) -> D
     return Diagnosis(residual, shares | {"unexplained": max(0.0, 1.0 - sum(shares.values()))})
 
 
-def _families(samples: Samples, operator: Any, drawn: np.ndarray, residual: float) -> Any:
+def _families(samples: Samples, operator: Any, drawn: ndarray, residual: float) -> Any:
     """Causes and forces that they could add at the drawn interior nodes, along the lattice's axes,
     [S, I, d, n], or each node's own, [S, I, n]. Bonds of twice the horizon and products of three
     gradients, which are many, get what single nodes leave."""
@@ -163,7 +164,7 @@ def _families(samples: Samples, operator: Any, drawn: np.ndarray, residual: floa
         size, mixes = svd((C - C @ allowed @ allowed.T).T)[1:]
         return forces(u, grid, bonds) @ mixes[np.sum(size > 1e-9 * np.abs(C).max()) :].T
 
-    def tensors(vectors: np.ndarray) -> Any:
+    def tensors(vectors: ndarray) -> Any:
         """Products of vectors [S, I, d, n] with each symmetric tensor."""
         return np.einsum("mij,sxjn->sxinm", SYMMETRIC, vectors).reshape(*vectors.shape[:3], -1)
 
@@ -186,7 +187,7 @@ def _families(samples: Samples, operator: Any, drawn: np.ndarray, residual: floa
         yield "nonlinearity", tensors(stepped[..., triples].prod(axis=-1).imag)
 
 
-def _left_out(rows: np.ndarray, left: np.ndarray) -> np.ndarray:
+def _left_out(rows: ndarray, left: ndarray) -> ndarray:
     """Residuals of left [S, I, d] with the best ridge, of each sample by the fit outside its part,
     to rows [S, I, d, n], or to [S, I, n] with numbers of every node's own."""
     y = left.reshape((*left.shape[:2], 1, -1) if rows.ndim == 3 else (len(left), 1, -1, 1))

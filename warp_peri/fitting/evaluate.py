@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+from numpy import ndarray
 from numpy.linalg import lstsq
 from numpy.typing import ArrayLike
 from scipy.special import stdtrit
@@ -97,7 +98,7 @@ def evaluate(
 
 
 def _table(
-    points: Samples, residual: np.ndarray, load: np.ndarray, solved: np.ndarray, home: float | None
+    points: Samples, residual: ndarray, load: ndarray, solved: ndarray, home: float | None
 ) -> Values:
     """Table of errors of solutions; `home` is the spacing that a transferred model comes from."""
     inside = points.interior
@@ -119,7 +120,7 @@ def errors_of(key: str, off: ArrayLike, whole: ArrayLike = 1.0) -> Values:
     return {key: float(np.mean(known)) if known else None, f"{key}_samples": values}
 
 
-def without_rigid_part(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+def without_rigid_part(x: ndarray, u: ndarray) -> ndarray:
     """Fields u, [S, N, d], less the translation and small rotation nearest to them."""
     x, one = x - x.mean(axis=0), np.eye(x.shape[1])
     pairs = combinations(range(len(one)), 2)
@@ -212,7 +213,7 @@ class BootstrapResult:
     loads: int
     knows: str
 
-    def deviation(self, quantity: Callable[[Any], np.ndarray | float]) -> np.ndarray:
+    def deviation(self, quantity: Callable[[Any], ndarray | float]) -> ndarray:
         """Standard deviation of a quantity of the material, in its shape: half of what lies between
         16 and 84 % of the draws, so that one poorly determined law does not widen it."""
         values = checked("quantity", [quantity(material) for material in self.materials])
@@ -220,7 +221,7 @@ class BootstrapResult:
         return np.asarray(np.sqrt(self.loads / (self.loads - 1)) * (high - low) / 2)
 
     def band(
-        self, material: Any, quantity: Callable[[Any], np.ndarray | float], level: Share = 0.9
+        self, material: Any, quantity: Callable[[Any], ndarray | float], level: Share = 0.9
     ) -> Pair:
         """Lower and upper end of the band that holds a quantity with probability `level` (else
         InputError), about the material of all loads, by Student's distribution of the loads."""

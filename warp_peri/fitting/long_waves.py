@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy import ndarray
 from numpy.linalg import lstsq, matrix_rank, norm, pinv
 
 from warp_peri.core.elastic import (
@@ -41,14 +42,14 @@ NOTHING = 1e-13
 """Of equations of size one, that is rounding."""
 
 
-def long_wave_moduli(samples: Samples, allowed: np.ndarray) -> tuple[np.ndarray, float]:
+def long_wave_moduli(samples: Samples, allowed: ndarray) -> tuple[ndarray, float]:
     """Fit the elastic tensor of the longest waves as a mixture of `allowed` ones along nodes' axes,
     [m, d, d, d, d] (theory, T10); also the relative residual. InputError for too few loads."""
     c, misfit = moduli_of(*long_wave_equations(samples, allowed))
     return np.tensordot(c, allowed, 1), misfit
 
 
-def long_wave_equations(samples: Samples, allowed: np.ndarray) -> Pair:
+def long_wave_equations(samples: Samples, allowed: ndarray) -> Pair:
     """Equations R and y that `long_wave_moduli` solves, shapes [n, m] and [n]."""
     values, kept, R = long_wave_rows(samples, allowed, MODES)
     axes = samples.lattice.axes
@@ -56,7 +57,7 @@ def long_wave_equations(samples: Samples, allowed: np.ndarray) -> Pair:
     return R.reshape(-1, R.shape[-1]), y.ravel()
 
 
-def long_wave_rows(samples: Samples, allowed: np.ndarray, modes: int) -> Several:
+def long_wave_rows(samples: Samples, allowed: ndarray, modes: int) -> Several:
     """Test fields v [V, n] with up to `modes` half waves each way, the numbers of their nodes, and
     −Σ u·div(C : grad v) of each allowed tensor, [S, V, d, m]."""
     axes = samples.lattice.axes
@@ -72,14 +73,14 @@ TOLD = 1e-7
 """Of columns of size one: numbers that add less are not told by fields of single precision."""
 
 
-def told_apart(R: np.ndarray, least: float = TOLD) -> bool:
+def told_apart(R: ndarray, least: float = TOLD) -> bool:
     """Whether rows [n, m] tell the numbers of all columns apart, in single precision or double."""
     size = norm(R, axis=0)
     full = R / np.where(size > 0, size, 1)
     return not R.shape[1] or bool(matrix_rank(full, rtol=least) == R.shape[1])
 
 
-def moduli_of(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float]:
+def moduli_of(R: ndarray, y: ndarray) -> tuple[ndarray, float]:
     """Least-squares constants of rows [..., m], relative residual; InputError for too few rows."""
     R, y = R.reshape(-1, R.shape[-1]), y.ravel()
     size = norm(R, axis=0)
@@ -92,7 +93,7 @@ def moduli_of(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float]:
     return c, relative(R @ c - y, y)
 
 
-def lines_of_waves(samples: Samples, modes: int) -> tuple[list[np.ndarray], np.ndarray]:
+def lines_of_waves(samples: Samples, modes: int) -> tuple[list[ndarray], ndarray]:
     """Long waves v by axis, with derivatives 0 to 4, [M, 5, n], and the numbers of their nodes:
     plane waves of a period, else sin⁴(π t) cos(m π t) on a box of interior nodes."""
     points, grid = samples.points, samples.lattice.steps
@@ -111,7 +112,7 @@ def lines_of_waves(samples: Samples, modes: int) -> tuple[list[np.ndarray], np.n
     return [_bumps(t[:, a], h * (high - low)[a], modes) for a in range(d)], kept
 
 
-def derived(lines: list[np.ndarray], orders: np.ndarray) -> np.ndarray:
+def derived(lines: list[ndarray], orders: ndarray) -> ndarray:
     """Products of one wave of each axis, with derivatives of given orders, shape [V, n]."""
     fields = np.ones((1, lines[0].shape[-1]))
     for line, order in zip(lines, orders):
@@ -119,7 +120,7 @@ def derived(lines: list[np.ndarray], orders: np.ndarray) -> np.ndarray:
     return fields
 
 
-def _bumps(t: np.ndarray, length: float, modes: int) -> np.ndarray:
+def _bumps(t: ndarray, length: float, modes: int) -> ndarray:
     """sin⁴(π t) cos(m π t) on 0 < t < 1, with derivatives to length t."""
     found = []
     for m in range(modes + 1):
@@ -130,24 +131,24 @@ def _bumps(t: np.ndarray, length: float, modes: int) -> np.ndarray:
     return np.array(found)
 
 
-def _waves(x: np.ndarray, length: float) -> np.ndarray:
+def _waves(x: ndarray, length: float) -> ndarray:
     """1, cos and sin of the first wave of a period, with their derivatives."""
     k = 2 * np.pi / length
     wave = np.exp(1j * k * x)
     return np.array([_derivatives(0 * k, wave**0), *(_derivatives(k, f * wave) for f in (1, -1j))])
 
 
-def _derivatives(k: float, wave: np.ndarray) -> np.ndarray:
+def _derivatives(k: float, wave: ndarray) -> ndarray:
     """Derivatives of the real part of a wave e^{ikx}, shape [5, n]."""
     return np.array([((1j * k) ** n * wave).real for n in range(5)])
 
 
-def _largest_box(grid: np.ndarray, interior: np.ndarray) -> np.ndarray:
+def _largest_box(grid: ndarray, interior: ndarray) -> ndarray:
     """Numbers of the interior nodes in the largest filled box about their middle."""
     inside = np.flatnonzero(interior)
     low, high = grid[inside].min(axis=0), grid[inside].max(axis=0)
     while (high >= low).all():
-        within: np.ndarray = inside[((grid[inside] >= low) & (grid[inside] <= high)).all(axis=1)]
+        within: ndarray = inside[((grid[inside] >= low) & (grid[inside] <= high)).all(axis=1)]
         if len(within) == np.prod(high - low + 1):
             return within
         low, high = low + 1, high - 1
@@ -167,7 +168,7 @@ class LongWaves:
 
     lam: float
     mu: float
-    errors: np.ndarray
+    errors: ndarray
     misfit: float
     terms: tuple[str, ...]
 
@@ -227,11 +228,11 @@ def _groups(turns: int) -> dict[str, slice]:
     return {name: slice(*pair) for name, pair in zip(sizes, itertools.pairwise(ends))}
 
 
-def _mixed(R: np.ndarray, columns: Sequence[slice]) -> np.ndarray:
+def _mixed(R: ndarray, columns: Sequence[slice]) -> ndarray:
     return np.concatenate([R[..., some] for some in columns], axis=-1)
 
 
-def _foretold(R: np.ndarray, y: np.ndarray) -> Pair:
+def _foretold(R: ndarray, y: ndarray) -> Pair:
     """Squared prediction errors of each part by the others [P], and their λ and μ, [P, 2]."""
     square, side = np.einsum("pra,prb->pab", R, R), np.einsum("pra,pr->pa", R, y)
     others = square.sum(axis=0) - square, side.sum(axis=0) - side
@@ -248,12 +249,12 @@ def _long_wave_table(samples: Samples, count: int) -> Pair:
     axis = np.deg2rad(samples.points.axis or 0.0) - np.arctan2(axes[1, 0], axes[0, 0])
     turn = np.exp(-1j * axis)
 
-    def seen(*orders: tuple[int, int]) -> np.ndarray:
+    def seen(*orders: tuple[int, int]) -> ndarray:
         """Moments Σ u times the sum of derivatives of v, [S, V, 2]."""
         field = sum(derived(lines, np.array(one)) for one in orders)
         return np.asarray(np.einsum("vn,snk->svk", field, u, optimize=True))
 
-    def elastic(*more: tuple[int, int]) -> list[np.ndarray]:
+    def elastic(*more: tuple[int, int]) -> list[ndarray]:
         """Moments −Σ u·div(C : grad v) of λ and of μ, for the sum of derivatives of v."""
         xx, xy, yy = (
             seen(*(tuple(np.add(one, two)) for one in more)) for two in ((2, 0), (1, 1), (0, 2))
@@ -276,7 +277,7 @@ def _long_wave_table(samples: Samples, count: int) -> Pair:
     return table * weight[..., None], weight * np.einsum("vn,snk->svk", values, b, optimize=True)
 
 
-def gradients(samples: Samples, kept: np.ndarray, reach: int = REACH) -> np.ndarray:
+def gradients(samples: Samples, kept: ndarray, reach: int = REACH) -> ndarray:
     """Displacement gradients ∂u/∂x along the nodes' axes by differences, [S, n, 2, 2]."""
     points, h = samples.points, samples.spacing
     grid, axes = points.lattice
@@ -292,7 +293,7 @@ def gradients(samples: Samples, kept: np.ndarray, reach: int = REACH) -> np.ndar
 
 
 @own_torch()
-def _stresses(H: np.ndarray, turn: complex, count: int) -> list[np.ndarray]:
+def _stresses(H: ndarray, turn: complex, count: int) -> list[ndarray]:
     """First Piola-Kirchhoff stress of each unit constant at H, those of λ and μ without H itself.
     The energies are powers of θ = tr E, q = dev E : dev E and z, half the deviator as a complex
     number along the axis: λ, μ, θ³, θq, Re z³ and Im z³, θ⁴, θ²q, q², θ Re z³ and θ Im z³."""
@@ -319,7 +320,7 @@ MUCH, MUCH_OF_ALL = 1.5, 0.01
 
 
 def judged(
-    samples: Samples, reach: float, turn: np.ndarray, normalise: bool, told: Symmetry
+    samples: Samples, reach: float, turn: ndarray, normalise: bool, told: Symmetry
 ) -> tuple[Symmetry, float | None]:
     """The given symmetry, or for "auto" the largest group without loss; and its loss over the best.
 
@@ -347,7 +348,7 @@ def judged(
     except InputError:  # too few nodes to see long waves on
         long = []
 
-    def losses(name: Symmetry) -> np.ndarray:
+    def losses(name: Symmetry) -> ndarray:
         bonds = invariant_basis(reach, shared_with_nodes(point_group(name, d), turn))
         allowed = allowed_tensors(name, turn)
         of_long = _crossed(long, np.einsum("aijkl,bijkl->ba", allowed, any_tensor)) if long else 0.0
@@ -373,7 +374,7 @@ def judged(
     return told, float((own / np.maximum(best, SMALL)).max())
 
 
-def _crossed(equations: Sequence[Several], mix: np.ndarray) -> float:
+def _crossed(equations: Sequence[Several], mix: ndarray) -> float:
     """‖R M p − y‖ / ‖y‖ of each part with the other's p (one part: its own); or infinity."""
     parts = [(R @ mix, y) for R, y in equations]
     if not all(told_apart(R) for R, _ in parts):

@@ -14,6 +14,7 @@ from functools import partial
 
 import numpy as np
 import scipy.linalg
+from numpy import ndarray
 from numpy.linalg import norm, qr, svd
 from scipy.optimize import nnls
 
@@ -56,12 +57,12 @@ DEPENDENT = 1e-10
 class Linearised:
     """Residual r, equalities e and inequalities m at θ [T], about one in size, with slopes."""
 
-    residual: np.ndarray
-    J: np.ndarray
-    equal: np.ndarray
-    A: np.ndarray
-    margins: np.ndarray
-    M: np.ndarray
+    residual: ndarray
+    J: ndarray
+    equal: ndarray
+    A: ndarray
+    margins: ndarray
+    M: ndarray
 
     @property
     def loss(self) -> float:
@@ -75,9 +76,7 @@ class Linearised:
         return float(missed[missed > ROUNDED].sum())
 
 
-def settle(
-    state: Callable[[np.ndarray], Linearised], theta: np.ndarray
-) -> tuple[np.ndarray, Linearised]:
+def settle(state: Callable[[ndarray], Linearised], theta: ndarray) -> tuple[ndarray, Linearised]:
     """Find the optimum reached from θ by Gauss–Newton, and its state with any violation."""
     now, penalty, damping, settled = state(theta), 0.0, DAMPING, False
 
@@ -114,7 +113,7 @@ def settle(
     return theta, now
 
 
-def _step(now: Linearised, damping: float) -> np.ndarray:
+def _step(now: Linearised, damping: float) -> ndarray:
     """min ‖r + J d‖² + damping ‖d / size‖² with e + A d = 0 and m + M d ≥ 0, or near to them."""
     size = 1 / felt(norm(now.J, axis=0))
     J, A, M = now.J * size, now.A * size, now.M * size
@@ -134,12 +133,12 @@ def _step(now: Linearised, damping: float) -> np.ndarray:
     return np.asarray((start + free @ x) * size)
 
 
-def felt(sizes: np.ndarray) -> np.ndarray:
+def felt(sizes: ndarray) -> ndarray:
     """Sizes of columns or curvatures, the small ones raised to FELT of the largest."""
     return np.asarray(np.maximum(sizes, FELT * sizes.max(initial=1e-300)))
 
 
-def particular(A: np.ndarray, a: np.ndarray) -> Pair:
+def particular(A: ndarray, a: ndarray) -> Pair:
     """Least x with A x = a where one is, and a basis of the null space of A, as columns."""
     if not len(A):
         return np.zeros(A.shape[1]), np.eye(A.shape[1])
@@ -148,7 +147,7 @@ def particular(A: np.ndarray, a: np.ndarray) -> Pair:
     return V[:rank].T @ ((U[:, :rank].T @ a) / size[:rank]), V[rank:].T
 
 
-def least_squares_above(A: np.ndarray, y: np.ndarray, G: np.ndarray, h: np.ndarray) -> np.ndarray:
+def least_squares_above(A: ndarray, y: ndarray, G: ndarray, h: ndarray) -> ndarray:
     """Minimise ‖A x − y‖ with G x ≥ h, A [M, K] of full column rank, G [C, K]. Raises InputError
     where no x obeys, or the rank of A is not full."""
     Q, R = qr(A)
@@ -181,10 +180,10 @@ class LatticeRows:
         group: of the nodes, which says how much of the zone is looked at.
     """
 
-    R: np.ndarray
-    y: np.ndarray
+    R: ndarray
+    y: ndarray
     bonds: Basis
-    group: np.ndarray
+    group: ndarray
 
 
 @dataclass(frozen=True)
@@ -192,8 +191,8 @@ class Form:
     """A stencil on a block that must be positive, D(k; p) ≥ level s(k) [stress]; slopes by θ."""
 
     block: int
-    p: np.ndarray
-    slopes: np.ndarray
+    p: ndarray
+    slopes: ndarray
     level: float
 
 
@@ -208,15 +207,15 @@ class Numbers:
         beside, by: more residuals, and their derivatives.
     """
 
-    p: Sequence[np.ndarray]
-    slopes: Sequence[np.ndarray]
+    p: Sequence[ndarray]
+    slopes: Sequence[ndarray]
     forms: Sequence[Form]
-    equal: np.ndarray
-    A: np.ndarray
-    margins: np.ndarray
-    M: np.ndarray
-    beside: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    by: np.ndarray | None = None
+    equal: ndarray
+    A: ndarray
+    margins: ndarray
+    M: ndarray
+    beside: ndarray = field(default_factory=lambda: np.zeros(0))
+    by: ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -233,8 +232,8 @@ class Settled:
         cuts: active or not, that were needed.
     """
 
-    theta: np.ndarray
-    p: list[np.ndarray]
+    theta: ndarray
+    p: list[ndarray]
     loss: float
     losses: list[float]
     margin: float
@@ -259,8 +258,8 @@ MET, KEPT = 1e-7, 1e-6
 
 def fit(
     blocks: Sequence[LatticeRows],
-    law: Callable[[np.ndarray], Numbers],
-    theta: np.ndarray,
+    law: Callable[[ndarray], Numbers],
+    theta: ndarray,
     floor: float,
     *,
     size: float | None = None,
@@ -297,16 +296,16 @@ class Regression:
     def __init__(
         self,
         blocks: Sequence[LatticeRows],
-        law: Callable[[np.ndarray], Numbers],
+        law: Callable[[ndarray], Numbers],
         floor: float,
         size: float | None,
     ) -> None:
         self.blocks, self.law, self.floor = blocks, law, floor
         self.size = float(size or np.sqrt(sum(block.y @ block.y for block in blocks)) or 1.0)
         self.zones = [Zone(block.bonds, block.group) for block in blocks]
-        self.cuts: list[tuple[int, np.ndarray]] = []
+        self.cuts: list[tuple[int, ndarray]] = []
 
-    def state(self, theta: np.ndarray) -> Linearised:
+    def state(self, theta: ndarray) -> Linearised:
         """Residual and conditions at θ, waves as far as they are cuts."""
         at = self.law(theta)
         J = [block.R @ slopes / self.size for block, slopes in zip(self.blocks, at.slopes)]
@@ -324,7 +323,7 @@ class Regression:
             np.concatenate(M),
         )
 
-    def left(self, at: Numbers) -> np.ndarray:
+    def left(self, at: Numbers) -> ndarray:
         """Residual of all blocks, over the size."""
         left = (block.R @ p - block.y for block, p in zip(self.blocks, at.p))
         return np.concatenate([*left]) / self.size
@@ -345,7 +344,7 @@ class Regression:
                 self.cuts.append((number, G))
         return smallest
 
-    def found(self, theta: np.ndarray, losses: list[float], margin: float) -> Settled:
+    def found(self, theta: ndarray, losses: list[float], margin: float) -> Settled:
         """The Settled result of a search that ended at θ."""
         at = self.law(theta)
         missed = float(np.append(np.abs(at.equal), -at.margins).max(initial=0.0))
@@ -356,15 +355,15 @@ class Regression:
 class Zone:
     """Search for the softest waves of a lattice: a grid on the zone, then zooms into its minima."""
 
-    def __init__(self, bonds: Basis, group: np.ndarray) -> None:
+    def __init__(self, bonds: Basis, group: ndarray) -> None:
         d = bonds.dimension
         self.bonds, self.phase = bonds, zone_sample(group, d, INTERVALS[d])
         self.wave, self.step = bend(self.phase, bonds.steps), np.pi / INTERVALS[d]
         self.how: Options = {"side": PATCH[d], "zooms": ZOOMS, "finer": FINER}
 
     def softest(
-        self, p: np.ndarray, below: float, near: float = np.inf
-    ) -> tuple[float, np.ndarray, np.ndarray]:
+        self, p: ndarray, below: float, near: float = np.inf
+    ) -> tuple[float, ndarray, ndarray]:
         """Smallest Λmin D/s over the zone, and k h [n, d] and eigenvectors of minima below a level;
         except for the lowest wave of the grid only those below `near` are refined."""
         tensors = np.tensordot(p[: len(self.bonds.basis)], self.bonds.basis, 1)
@@ -375,7 +374,7 @@ class Zone:
         phase = k[found < below]
         return float(found.min()), phase, at(phase)[1]
 
-    def _apart(self, value: np.ndarray) -> list[int]:
+    def _apart(self, value: ndarray) -> list[int]:
         """Lowest waves of the grid that are no neighbours of one another: narrow dips too."""
         found: list[int] = []
         for n in np.argsort(value):
@@ -387,7 +386,7 @@ class Zone:
         return found
 
 
-def sample_weights(sets: Sequence[Samples], *, normalise: bool) -> list[np.ndarray]:
+def sample_weights(sets: Sequence[Samples], *, normalise: bool) -> list[ndarray]:
     """Weights f²/Σ f²‖b‖² of each sample's ‖L u − b‖², [S] of each set; f = 1, or 1/‖b‖ with
     `normalise`. InputError for no samples or loads; normalised, for any zero load."""
     if not sets:
@@ -417,8 +416,8 @@ def rows(
     samples: Samples,
     bonds: Basis,
     *,
-    weight: np.ndarray | None = None,
-    extra: np.ndarray | None = None,
+    weight: ndarray | None = None,
+    extra: ndarray | None = None,
     least: int | None = None,
 ) -> Pair:
     """Rows R [n, P + E] and y [n] for numbers p = C h² [stress] on a basis, then of extra columns.
@@ -444,8 +443,8 @@ def rows(
 
 
 def swept(
-    samples: Samples, bonds: Basis, extra: np.ndarray | None = None, least: int | None = None
-) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+    samples: Samples, bonds: Basis, extra: ndarray | None = None, least: int | None = None
+) -> Iterator[tuple[slice, ndarray, ndarray]]:
     """Iterate over blocks of samples: the slice, columns at the interior nodes [S, I, d, P + E] and
     loads, along the lattice's axes; arguments and errors as of rows."""
     nodes = grid_of(samples.points, bonds.steps, least=least)
@@ -458,7 +457,7 @@ def swept(
         yield some, F if extra is None else np.concatenate([F, extra[some]], axis=-1), b[some]
 
 
-def forces(u: np.ndarray, nodes: Grid, bonds: Basis) -> np.ndarray:
+def forces(u: ndarray, nodes: Grid, bonds: Basis) -> ndarray:
     """Forces h² L u of every basis tensor at the interior nodes, along the axes, [S, I, d, P]."""
     planes, d = nodes.scatter(u).swapaxes(0, 1), nodes.dimension
     stride = np.cumprod((1, *nodes.wide[:0:-1]))[::-1]
@@ -473,35 +472,35 @@ def forces(u: np.ndarray, nodes: Grid, bonds: Basis) -> np.ndarray:
     return F.transpose(3, 1, 2, 0)
 
 
-def over_loads(samples: Samples) -> np.ndarray:
+def over_loads(samples: Samples) -> ndarray:
     """Weights 1/‖b‖ of each sample, shape [S]; one without load is left out."""
     size = load_sizes(samples)
     return np.asarray(np.divide(1, size, out=0 * size, where=size > 0))
 
 
-def load_sizes(samples: Samples) -> np.ndarray:
+def load_sizes(samples: Samples) -> ndarray:
     """Norm ‖b‖ of each sample's interior load, shape [S]."""
     return norms(samples.loads[:, samples.interior])
 
 
-def norms(fields: np.ndarray) -> np.ndarray:
+def norms(fields: ndarray) -> ndarray:
     """Norm of each of S fields, shape [S, ...] to [S]."""
     return np.asarray(norm(fields.reshape(len(fields), -1), axis=1))
 
 
-def relative(off: np.ndarray, whole: np.ndarray) -> float:
+def relative(off: ndarray, whole: ndarray) -> float:
     """Norm of all numbers of one array over that of another."""
     return float(norm(off) / norm(whole))
 
 
-def sizes(fields: np.ndarray, inside: np.ndarray) -> np.ndarray:
+def sizes(fields: ndarray, inside: ndarray) -> ndarray:
     """Norm of each of S fields on interior nodes; where all are, without the mean, for where a
     periodic body as a whole lies is nobody's answer."""
     held = fields[:, inside]
     return norms(held - inside.all() * held.mean(axis=1, keepdims=True))
 
 
-def compressed(R: np.ndarray, y: np.ndarray) -> Pair:
+def compressed(R: ndarray, y: ndarray) -> Pair:
     """Compress rows R, y to as few with the same least squares."""
     if len(R) <= R.shape[1] + 1:
         return R, y
@@ -514,7 +513,7 @@ KNOWN = 0.1
 """Directions of which more than 1 − KNOWN of the data's squares is noise are left out."""
 
 
-def without_noise(R: np.ndarray, y: np.ndarray, noise: np.ndarray) -> Pair:
+def without_noise(R: ndarray, y: ndarray, noise: ndarray) -> Pair:
     """Rows of ‖R p − y‖² less ‖N p‖², what noise in u adds to it, as a square again (theory,
     36–37).
 

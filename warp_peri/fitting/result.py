@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy import ndarray
 from numpy.linalg import norm
 
 from warp_peri.errors import InputError, Rows, Shown
@@ -111,7 +112,7 @@ LOUD = 0.1
 """A residual above which a solid does not describe the data."""
 
 
-def left_by(material: Any, samples: Samples, verb: str) -> tuple[Any, np.ndarray, float]:
+def left_by(material: Any, samples: Samples, verb: str) -> tuple[Any, ndarray, float]:
     """Operator of a solid, or of a material with a linear part, on a set; what it leaves of the
     loads on the interior, [S, I, d]; and ‖L u − b‖ / ‖b‖. InputError without either."""
     law, b = getattr(material, "model", material), samples.loads[:, samples.interior]

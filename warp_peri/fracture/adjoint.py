@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 import torch
+from numpy import ndarray
 from numpy.linalg import norm
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
@@ -39,7 +40,7 @@ SETTLED = 0.01
 def bond_force(
     model: LPSMaterial,
     body: LatticeBody,
-    neighbour: np.ndarray,
+    neighbour: ndarray,
     u: torch.Tensor,
     numbers: Numbers,
     pressure: Any = 0.0,
@@ -64,7 +65,7 @@ def bond_force(
     return linear(pull, lambda y: y @ stretch, lambda x: x @ stretch.T).view_as(u)
 
 
-def crack_load(cut: Any, stress: np.ndarray, parameters: Numbers) -> torch.Tensor:
+def crack_load(cut: Any, stress: ndarray, parameters: Numbers) -> torch.Tensor:
     """Crack load as statics.crack_load, differentiable in the given parameters, [N, d]."""
     numbers = {name: real(name, value) for name, value in (cut.learnable | {**parameters}).items()}
     sigma = torch.from_numpy(stress)
@@ -109,10 +110,10 @@ class SoftBody:
         model: LPSMaterial,
         body: LatticeBody,
         law: BondLaw,
-        held: np.ndarray,
+        held: ndarray,
         *,
         cracks: Sequence[ArrayLike] = (),
-        no_fail: np.ndarray | None = None,
+        no_fail: ndarray | None = None,
     ) -> None:
         check_breakable(model, body.classes)
         safe, table = check_no_fail(no_fail, len(body.x)), cracked(body, cracks)
@@ -127,7 +128,7 @@ class SoftBody:
         self.breakable = ~(safe[node] | safe[far])
         self.free = ~held.ravel()
 
-    def rest(self, u: np.ndarray, share: np.ndarray) -> np.ndarray:
+    def rest(self, u: ndarray, share: ndarray) -> ndarray:
         """Displacement at rest, flat [d N], by Newton's method from u with the given components.
         `share` is what is left of the pull of each bond."""
         softness = self.law.softness
@@ -148,12 +149,12 @@ class SoftBody:
             u[self.free] -= factors.solve(force)
         raise InputError("softening: no equilibrium was found; the body may have come apart")
 
-    def tangent(self, slope: np.ndarray) -> sp.csc_array:
+    def tangent(self, slope: ndarray) -> sp.csc_array:
         """Tangent between free components, of the bonds' slopes relative to their stiffness."""
         K = self.rows.T @ (sp.diags_array(self.stiffness * slope) @ self.rows)
         return sp.csc_array(sp.csr_array(K)[self.free][:, self.free])
 
-    def levers(self, line: ArrayLike) -> np.ndarray:
+    def levers(self, line: ArrayLike) -> ndarray:
         """Weights of bonds in the force per thickness normal to a line, tension positive, [E]."""
         crossing, ends = crossing_bonds(self.body, line, "line"), checked("line", line)
         if self.body.dimension == 2 and len(ends) != 2:
@@ -219,7 +220,7 @@ class SoftBody:
         return Motion(load, end, None, {"load": load, "force": force, "broken": broken})
 
     def _settled(
-        self, at: np.ndarray, given: torch.Tensor, damage: list[torch.Tensor], law: Sequence[Any]
+        self, at: ndarray, given: torch.Tensor, damage: list[torch.Tensor], law: Sequence[Any]
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Displacement u [d N] and s where no bond fails further; updates share and worst."""
         change, breakable = 1.0, torch.from_numpy(self.breakable)
@@ -267,12 +268,12 @@ class SoftBody:
         return definite_factors(self.tangent(slope)) is not None
 
     def _at_rest(
-        self, u: np.ndarray, share: torch.Tensor, softness: torch.Tensor, given: torch.Tensor
+        self, u: ndarray, share: torch.Tensor, softness: torch.Tensor, given: torch.Tensor
     ) -> torch.Tensor:
         """Displacement u at rest [d N], with the derivatives of a Newton step of length zero."""
         left, factors = share.detach().numpy(), list[Any]()
 
-        def inverse(g: np.ndarray) -> np.ndarray:
+        def inverse(g: ndarray) -> ndarray:
             if not factors:
                 slope = slope_of((self.rows @ u) / self.square, self.law.softness)
                 factors.append(splu(self.tangent(left * slope)))

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numpy import ndarray
 from numpy.linalg import eigvalsh, inv, norm
 from numpy.typing import ArrayLike
 
@@ -40,25 +41,25 @@ class LatticeBody(InSpace):
         endless: whether it goes on along its last axis, as of lattice_body.
     """
 
-    x: np.ndarray
+    x: ndarray
     spacing: float
     classes: BondClasses
-    neighbour: np.ndarray
-    axes: np.ndarray
+    neighbour: ndarray
+    axes: ndarray
     endless: bool = False
 
     @property
-    def xi(self) -> np.ndarray:
+    def xi(self) -> ndarray:
         """Bond vectors of a node's whole ball [length], shape [B, d]."""
         return np.asarray(self.classes.xi @ self.axes.T)
 
     @property
-    def r(self) -> np.ndarray:
+    def r(self) -> ndarray:
         """Bond lengths of a node's whole ball [length], shape [B]."""
         return np.asarray(self.classes.r[self.classes.bond_class])
 
     @property
-    def opposite(self) -> np.ndarray:
+    def opposite(self) -> ndarray:
         """Number of the bond with the opposite vector, shape [B]."""
         order = np.lexsort(self.classes.steps.T)
         return order[::-1][np.argsort(order)]
@@ -82,13 +83,13 @@ def lattice_body(
 
 
 @typed
-def rectangle_nodes(width: Positive, height: Positive, spacing: Positive) -> np.ndarray:
+def rectangle_nodes(width: Positive, height: Positive, spacing: Positive) -> ndarray:
     """Nodes in the middle of cells that fill a rectangle, as box_nodes."""
     return box_nodes((width, height), spacing)
 
 
 @typed
-def box_nodes(sides: Sequence[float], spacing: Positive) -> np.ndarray:
+def box_nodes(sides: Sequence[float], spacing: Positive) -> ndarray:
     """Nodes in the middle of cells that fill a box about the origin, shape [N, d]. Raises
     InputError when the sides are not whole multiples of the spacing."""
     check_dimensions("sides", len(sides))
@@ -101,7 +102,7 @@ def box_nodes(sides: Sequence[float], spacing: Positive) -> np.ndarray:
 
 
 @typed
-def penny_corners(radius: Positive) -> np.ndarray:
+def penny_corners(radius: Positive) -> ndarray:
     """Corners, 48 of them, of a circular crack about the origin on y = 0, same area, [48, 3]."""
     t = 2 * np.pi * np.arange(48) / 48
     reach = radius * np.sqrt(t[1] / np.sin(t[1]))
@@ -117,8 +118,8 @@ def through(left: float, right: float, side: float, dimension: int) -> list[tupl
 
 @typed
 def point_force(
-    x: np.ndarray, spacing: Positive, place: Sequence[float], force: Sequence[float]
-) -> np.ndarray:
+    x: ndarray, spacing: Positive, place: Sequence[float], force: Sequence[float]
+) -> ndarray:
     """Body force density [force / length^d], [N, d], of a force at a place, on a node or not (C27).
 
     Its work equals the force's (in the plane per thickness) in any affine displacement, by least
@@ -141,7 +142,7 @@ def point_force(
     return b
 
 
-def crossing_bonds(body: LatticeBody, polyline: ArrayLike, name: str = "crack") -> np.ndarray:
+def crossing_bonds(body: LatticeBody, polyline: ArrayLike, name: str = "crack") -> ndarray:
     """Bonds that a crack along a polyline cuts, shape [N, B] bool; both directions of a bond.
 
     A bond that meets an end is not cut, one that meets a corner or a mouth is: an end beyond which
@@ -166,12 +167,12 @@ def crossing_bonds(body: LatticeBody, polyline: ArrayLike, name: str = "crack") 
     return cut
 
 
-Face = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+Face = tuple[ndarray, ndarray, ndarray, ndarray]
 """A flat piece of a crack: corners [P, d], unit normal [d], inward normals of its edges [P, d],
 and how far inside of each edge a bond must cross it, in lengths of these normals [P]."""
 
 
-def _segments(body: LatticeBody, corners: np.ndarray) -> Iterator[Face]:
+def _segments(body: LatticeBody, corners: ndarray) -> Iterator[Face]:
     """Iterate over the faces of a polyline, corners and mouths included, tips not."""
     open_ended, last = not np.array_equal(corners[0], corners[-1]), len(corners) - 2
     for number, ends in enumerate(pairwise(corners)):
@@ -184,7 +185,7 @@ def _segments(body: LatticeBody, corners: np.ndarray) -> Iterator[Face]:
         yield np.stack(ends), np.array([-along[1], along[0]]), np.stack([along, -along]), slack
 
 
-def _polygon(corners: np.ndarray, name: str) -> Iterator[Face]:
+def _polygon(corners: ndarray, name: str) -> Iterator[Face]:
     """Yield the face of a flat convex polygon in space, whose edges cut nothing."""
     size, normal = size_and_normal(corners)
     if not size > 0 or np.abs((corners - corners[0]) @ normal).max() > ON_LINE * size**0.5:
@@ -197,11 +198,11 @@ def _polygon(corners: np.ndarray, name: str) -> Iterator[Face]:
 
 def _cut_face(
     body: LatticeBody,
-    corners: np.ndarray,
-    normal: np.ndarray,
-    inward: np.ndarray,
-    slack: np.ndarray,
-    cut: np.ndarray,
+    corners: ndarray,
+    normal: ndarray,
+    inward: ndarray,
+    slack: ndarray,
+    cut: ndarray,
 ) -> None:
     """Mark the bonds across a Face; nodes on it stand on the side of its normal."""
     near, offset = _near(body, corners), (inward * corners).sum(axis=1)
@@ -221,7 +222,7 @@ def _cut_face(
         cut[near[across[(place @ inward.T - offset > slack).all(axis=1)]], bond] = True
 
 
-def size_and_normal(corners: np.ndarray) -> tuple[float, np.ndarray]:
+def size_and_normal(corners: ndarray) -> tuple[float, ndarray]:
     """Length and left normal of a polyline, or area and normal of a polygon; zeros without size."""
     if corners.shape[1] == 2:
         along = corners[-1] - corners[0]
@@ -233,20 +234,20 @@ def size_and_normal(corners: np.ndarray) -> tuple[float, np.ndarray]:
     return size, area / (size or 1.0)
 
 
-def _goes_on(body: LatticeBody, tip: np.ndarray, along: np.ndarray) -> bool:
+def _goes_on(body: LatticeBody, tip: ndarray, along: ndarray) -> bool:
     """Whether the body has nodes beyond the end of a crack; else that is a mouth."""
     away = body.x[_near(body, tip[None])] - tip
     return bool((away @ along > ON_LINE * body.spacing).any())
 
 
-def _near(body: LatticeBody, corners: np.ndarray) -> np.ndarray:
+def _near(body: LatticeBody, corners: ndarray) -> ndarray:
     """Numbers of the nodes with bonds that may lead beyond these corners."""
     reach = body.classes.horizon * (1 + HORIZON_TOLERANCE)
     low, high = corners.min(axis=0) - reach, corners.max(axis=0) + reach
     return np.flatnonzero(((body.x >= low) & (body.x <= high)).all(axis=1))
 
 
-def cracked(body: LatticeBody, cracks: Sequence[ArrayLike]) -> np.ndarray:
+def cracked(body: LatticeBody, cracks: Sequence[ArrayLike]) -> ndarray:
     """Neighbours of a body with the bonds across cracks broken (−1 − j), shape [N, B] int32."""
     if not np.iterable(cracks):
         raise InputError(f"cracks: expected a list of polylines, got {cracks!r:.50}")

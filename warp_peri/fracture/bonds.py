@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 import warp as wp
+from numpy import ndarray
 from numpy.linalg import eigvalsh, inv
 from numpy.typing import ArrayLike
 
@@ -42,8 +43,8 @@ class SplitBonds(NamedTuple):
     bond in the dilatation [1 / length²], [B]; `excess` x [stress], one or of each node [N].
     """
 
-    stiffness: np.ndarray
-    share: np.ndarray
+    stiffness: ndarray
+    share: ndarray
     excess: Any
 
 
@@ -54,7 +55,7 @@ def bonds_of(model: LPSMaterial, classes: BondClasses, moduli: Any = None) -> Sp
     return SplitBonds(d * (d + 2) * mu * w / classes.r[classes.bond_class] ** 2, d * w, excess)
 
 
-def bond_weights(model: LPSMaterial, classes: BondClasses) -> np.ndarray:
+def bond_weights(model: LPSMaterial, classes: BondClasses) -> ndarray:
     """Dilatation weights w = K W / m of a ball's bonds [length⁻²], Σ w r² = 1, shape [B]."""
     v, _ = stiffnesses(model, classes)
     return np.asarray(v[classes.bond_class] / model.mu)
@@ -95,15 +96,13 @@ def largest_stiffness(model: LPSMaterial, classes: BondClasses) -> float:
     return stiffer * largest(stencil_of(classes, v, 0.0), lattice_group(d))
 
 
-def stretch_matrix(body: LatticeBody, neighbour: np.ndarray) -> tuple[sp.csr_array, np.ndarray]:
+def stretch_matrix(body: LatticeBody, neighbour: ndarray) -> tuple[sp.csr_array, ndarray]:
     """Matrix [length] from u to e = ξ·(u_j − u_i) of unbroken bonds, [E, d N]; places in [N B]."""
     node, bond = np.nonzero(neighbour >= 0)
     return stretch_rows(body, node, bond, neighbour[node, bond]), node * neighbour.shape[1] + bond
 
 
-def stretch_rows(
-    body: LatticeBody, node: np.ndarray, bond: np.ndarray, far: np.ndarray
-) -> sp.csr_array:
+def stretch_rows(body: LatticeBody, node: ndarray, bond: ndarray, far: ndarray) -> sp.csr_array:
     """Rows of stretch_matrix of bonds, by their first node, number in the ball and end."""
     xi, count, d = body.xi[bond], len(bond), body.dimension
     columns = (d * np.column_stack([far, node])[:, :, None] + np.arange(d)).ravel()
@@ -113,7 +112,7 @@ def stretch_rows(
 
 
 def bond_matrix(
-    body: LatticeBody, neighbour: np.ndarray, bonds: SplitBonds, *, corrected: bool = False
+    body: LatticeBody, neighbour: ndarray, bonds: SplitBonds, *, corrected: bool = False
 ) -> sp.csr_array:
     """Matrix L [stress / length²] of a body with broken bonds, symmetric, [d N, d N] (C4)."""
     stretch, place = stretch_matrix(body, neighbour)
@@ -141,9 +140,7 @@ class SurfaceCorrection:
             bonds span space; other nodes are left as they are.
     """
 
-    def __init__(
-        self, body: LatticeBody, there: np.ndarray, bonds: SplitBonds, least: float
-    ) -> None:
+    def __init__(self, body: LatticeBody, there: ndarray, bonds: SplitBonds, least: float) -> None:
         node, count = np.flatnonzero(~there.all(axis=1)), len(there)
         each = np.broadcast_to(bonds.stiffness, there.shape)[node]
         spans, *made = mean_gradients(body.xi, there[node], each, bonds.share, least)
@@ -172,7 +169,7 @@ class SurfaceCorrection:
         total = gradient.T @ (sp.csr_array(blocks) @ gradient)
         return sp.csr_array(total + crossed + crossed.T + more.T @ (of_nodes @ more))
 
-    def __call__(self, u: np.ndarray) -> Pair:
+    def __call__(self, u: ndarray) -> Pair:
         """Force density of all nodes, and energy density of `node`, at a displacement."""
         gradient = (self._slopes @ u).reshape(self._lacked.shape)
         theta, more = self._theta @ u.ravel(), (self._lacked * gradient).sum(axis=1)
@@ -185,7 +182,7 @@ class SurfaceCorrection:
 
 
 def mean_gradients(
-    xi: np.ndarray, there: np.ndarray, stiffness: np.ndarray, share: np.ndarray, least: float
+    xi: ndarray, there: ndarray, stiffness: ndarray, share: ndarray, least: float
 ) -> Several:
     """Mean gradients (C26) of nodes with the bonds `there` [n, B] of a ball, xi [B, d].
 
@@ -207,7 +204,7 @@ def mean_gradients(
 
 
 def dilatations(
-    body: LatticeBody, share: np.ndarray, neighbour: np.ndarray, nodes: np.ndarray
+    body: LatticeBody, share: ndarray, neighbour: ndarray, nodes: ndarray
 ) -> sp.csr_array:
     """Matrix of the plain dilatation θ of (C1) of some nodes [1/length], shape [n, d N]."""
     at, bond = np.nonzero(neighbour[nodes] >= 0)
@@ -255,7 +252,7 @@ class CutOperator:
         self._lost = zeros(len(first), dtype=wp.uint16)
         self._recorded: dict[tuple[Any, ...], Shared] = {}
 
-    def links(self, neighbour: np.ndarray) -> wp.array[Any]:
+    def links(self, neighbour: ndarray) -> wp.array[Any]:
         """Pack the bonds of a table of neighbours [N, B] as sweeps take them."""
         words = np.zeros((len(self._pieces), self.bonds), np.uint16)
         for lane in range(kernels.LANES):
@@ -263,7 +260,7 @@ class CutOperator:
             words[self._row[nodes]] |= (neighbour[nodes] >= 0).astype(np.uint16) << lane
         return wp.array(words.ravel(), dtype=wp.uint16, device="cpu")
 
-    def kept(self, links: wp.array[Any]) -> np.ndarray:
+    def kept(self, links: wp.array[Any]) -> ndarray:
         """Mask of unbroken bonds, [N, B] bool."""
         words = links.numpy().reshape(-1, self.bonds)
         return np.asarray(words[self._row] >> self._lane[:, None] & 1, bool)
@@ -276,7 +273,7 @@ class CutOperator:
         energy: wp.array[Any],
         *,
         breaking: bool = False,
-    ) -> np.ndarray:
+    ) -> ndarray:
         """Fill force and energy at u over bonds before breaking; returns nodes that lose some."""
         arrays = u, links, force, energy
         key = get_num_threads(), breaking, *(array.ptr for array in arrays)
@@ -290,9 +287,7 @@ class CutOperator:
         losing = self._number[self._pieces[rows, :1] + lanes][lost[rows, None] >> lanes & 1 > 0]
         return np.sort(losing) - 1
 
-    def _shared(
-        self, pieces: Sequence[np.ndarray], breaking: bool, *fields: wp.array[Any]
-    ) -> Shared:
+    def _shared(self, pieces: Sequence[ndarray], breaking: bool, *fields: wp.array[Any]) -> Shared:
         """Arguments to lay out u, fill θ, and fill force and energy, of pieces packed apart."""
         laid, dilated, swept = pieces
         dilated = dilated if self.excess else laid[:0]
@@ -302,7 +297,7 @@ class CutOperator:
         return Shared(self._kernels.sweep, (of,), WEIGHT * len(swept), stay)
 
     def again(
-        self, links: wp.array[Any], nodes: np.ndarray, force: wp.array[Any], energy: wp.array[Any]
+        self, links: wp.array[Any], nodes: ndarray, force: wp.array[Any], energy: wp.array[Any]
     ) -> None:
         """Recompute force and energy at and around nodes that lost bonds in the last sweep."""
         changed = around = np.unique(self._row[nodes])
@@ -317,7 +312,7 @@ class CutRows:
     """Operator L of a cut body that is not endless on fields [S, N, d]; arguments of CutSolid."""
 
     def __init__(
-        self, model: LPSMaterial, body: LatticeBody, neighbour: np.ndarray, corrected: bool
+        self, model: LPSMaterial, body: LatticeBody, neighbour: ndarray, corrected: bool
     ) -> None:
         self._operator = CutOperator(model, body)
         count, vector = len(body.x), self._operator.vector
@@ -329,7 +324,7 @@ class CutRows:
             self._more = SurfaceCorrection(body, neighbour >= 0, bonds, SPANNED).matrix()
 
     @property
-    def diagonal(self) -> np.ndarray:
+    def diagonal(self) -> ndarray:
         """Diagonal of L, shape [N, d]."""
         (stiffness, share, excess), xi = self._operator.bonded, self._operator.body.xi
         once, twice = (2 * stiffness)[:, None] * xi**2, share[:, None] * xi
@@ -337,7 +332,7 @@ class CutRows:
         found = there @ (once + excess * twice**2) + excess * (there @ twice) ** 2
         return np.asarray(found + self._more.diagonal().reshape(found.shape))
 
-    def __call__(self, fields: np.ndarray) -> np.ndarray:
+    def __call__(self, fields: ndarray) -> ndarray:
         """Minus the internal force density, of all nodes."""
         found, (u, force, energy) = np.empty_like(fields), self._fields
         for field, out in zip(fields, found):
@@ -359,7 +354,7 @@ def _places(body: LatticeBody) -> Pair:
     return offset, grid[:, axes] @ strides + np.abs(offset).max()
 
 
-def _rows(home: np.ndarray) -> Pair:
+def _rows(home: ndarray) -> Pair:
     """First places of as few pieces as hold all nodes, and the piece of every node [N]."""
     places = np.sort(home)
     after = np.searchsorted(places, places + kernels.LANES).tolist()

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
+from numpy import ndarray
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import Arrays, InputError, Values, agreed, called
@@ -52,8 +53,8 @@ class BreakingState:
     force: wp.array[Any]
     energy: wp.array[Any]
     work: wp.array[Any]
-    dissipated: np.ndarray
-    whole: np.ndarray
+    dissipated: ndarray
+    whole: ndarray
     time: float = 0.0
     steps: int = 0
 
@@ -109,7 +110,7 @@ class BreakingBody:
         held = None if held is None else by_component(held, body.x.shape).astype(float)
         given = {"load": load, "held": held, "grip": grip}
         self.load, self.held, self.grip = (self._nodal(*one) for one in given.items())
-        self.exchange: Callable[[np.ndarray], None] | None = None
+        self.exchange: Callable[[ndarray], None] | None = None
 
     def _nodal(self, name: str, field: ArrayLike | None) -> wp.array[Any]:
         """Copy a field [N, d] to Warp; zeros for None."""
@@ -157,7 +158,7 @@ class BreakingBody:
         state.work = floats(kinetic + state.energy.numpy())
         return state
 
-    def correction(self, there: np.ndarray) -> SurfaceCorrection | None:
+    def correction(self, there: ndarray) -> SurfaceCorrection | None:
         """Surface correction with these bonds, [N, B] bool, where one is asked for."""
         if not self.corrected:
             return None
@@ -170,7 +171,7 @@ class BreakingBody:
             state.force.numpy()[:] += more
             state.energy.numpy()[state.correction.node] += stored
 
-    def damage(self, state: BreakingState) -> np.ndarray:
+    def damage(self, state: BreakingState) -> ndarray:
         """Damage φ, the share of bonds that a node has lost, shape [N]."""
         left = self.operator.kept(state.links).sum(axis=1)
         return np.asarray(1 - left / np.maximum(state.whole, 1))
@@ -226,7 +227,7 @@ LEDGER = "time", "work", "kinetic", "elastic", "dissipated"
 class Broken(NamedTuple):
     """End of a motion: damage φ, the share of bonds that a node has lost, [N]; body and state."""
 
-    damage: np.ndarray
+    damage: ndarray
     body: BreakingBody
     state: BreakingState
 
@@ -251,7 +252,7 @@ class CrackRun(Recorder):
         body: BreakingBody,
         *,
         step: Positive,
-        watch: Mapping[str, Callable[[np.ndarray], Any]] | None = None,
+        watch: Mapping[str, Callable[[ndarray], Any]] | None = None,
         nodes: Any = None,
         **files: Any,
     ) -> None:

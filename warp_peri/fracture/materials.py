@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
+from numpy import ndarray
 from scipy.special import hyp1f1
 
 from warp_peri.core.record import FieldUnits, OnLinear
@@ -102,11 +103,11 @@ class BondLaw:
     stretch: Positive = np.inf
     tail: NotNegative = 0.0
 
-    def pull(self, s: np.ndarray) -> np.ndarray:
+    def pull(self, s: ndarray) -> ndarray:
         """Pull of a bond over k r² before it begins to fail."""
         return np.asarray(pull_of(checked("s", s), self.softness, np))
 
-    def share(self, worst: np.ndarray) -> np.ndarray:
+    def share(self, worst: ndarray) -> ndarray:
         """Share of a bond's pull that is left after a largest stretch, from 1 to 0."""
         worst = checked("worst", worst)
         return np.asarray(share_of(worst, self.softness, np.float64(self.stretch), self.tail, np))
@@ -126,7 +127,7 @@ def pull_of(s: Any, softness: Any, of: Any) -> Any:
     return s * of.exp(-softness * of.clip(s, 0, None))
 
 
-def slope_of(s: np.ndarray, softness: float) -> np.ndarray:
+def slope_of(s: ndarray, softness: float) -> ndarray:
     """Slope of BondLaw.pull over the stretch."""
     s = np.maximum(s, 0)
     return np.exp(-softness * s) * (1 - softness * s)

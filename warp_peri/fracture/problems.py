@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 from numpy.typing import ArrayLike
 
 import warp_peri.core as core
@@ -81,13 +82,13 @@ class Cracked:
     b: Any = None
     u: Any = None
     cracks: Sequence[ArrayLike] = ()
-    free: np.ndarray | None = None
+    free: ndarray | None = None
     pressure: Any = None
     corrected: bool = False
     learns = True  # at rest, and pulled
 
     @property
-    def held(self) -> np.ndarray:
+    def held(self) -> ndarray:
         """Components that are given, shape [N, d] bool; InputError for a mask of another shape."""
         shape = self.points.x.shape
         if self.free is None:
@@ -427,7 +428,7 @@ def j_integral(solution: Solution, tip: Sequence[float], radii: tuple[float, flo
     return float(sign * total * h**d / front)
 
 
-def _crack_axes(solution: Solution, tip: np.ndarray, reach: float) -> tuple[list[int], float]:
+def _crack_axes(solution: Solution, tip: ndarray, reach: float) -> tuple[list[int], float]:
     """Axes along the crack that ends in a tip, across it and along its front, and its sense."""
     body, d, h = solution.operator.body, len(tip), solution.operator.body.spacing
     cut = []
@@ -443,7 +444,7 @@ def _crack_axes(solution: Solution, tip: np.ndarray, reach: float) -> tuple[list
     return [along, across, *[axis for axis in range(d) if axis not in (along, across)]], sign
 
 
-def _gradient(u: np.ndarray, x: np.ndarray, h: float, axes: list[int], sign: float) -> np.ndarray:
+def _gradient(u: ndarray, x: ndarray, h: float, axes: list[int], sign: float) -> ndarray:
     """Gradients ∂u_i/∂x_j by differences in a box about a tip, [n₁, n₂, …, d, d]."""
     slopes = [np.gradient(u, h, axis=axis, edge_order=2) for axis in range(u.shape[-1])]
     along, across = axes[:2]

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from numpy import ndarray
 from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import connected_components
 from tqdm import tqdm
@@ -86,7 +87,7 @@ class CutSolid(OperatorBase):
         body: LatticeBody,
         held: ArrayLike,
         *,
-        neighbour: np.ndarray | None = None,
+        neighbour: ndarray | None = None,
         cracks: Sequence[ArrayLike] = (),
         corrected: bool = False,
         solver: Solver = None,
@@ -130,7 +131,7 @@ class CutSolid(OperatorBase):
         """Matrix L of (C4), symmetric, shape [d N, d N]."""
         return bond_matrix(self.body, self.neighbour, self.bonds, corrected=self.corrected)
 
-    def times(self, fields: np.ndarray) -> np.ndarray:
+    def times(self, fields: ndarray) -> ndarray:
         """Product L u of fields of all nodes, [S, N, d]."""
         if self._rows is not None:
             return self._rows(fields)
@@ -141,11 +142,11 @@ class CutSolid(OperatorBase):
         """Nodes as Points; those free in part are interior."""
         return Points(self.body.x, self.inside, self.body.spacing, units=self.model.units)
 
-    def force(self, u: np.ndarray) -> np.ndarray:
+    def force(self, u: ndarray) -> ndarray:
         """Minus the internal force density on nodes not held, [..., N, d] to [..., I, d]."""
         return in_shape_of(u, self.times(self.fields(u))[:, self.inside])
 
-    def vjp(self, u: Any, w: np.ndarray) -> np.ndarray:
+    def vjp(self, u: Any, w: ndarray) -> ndarray:
         """Transposed product L w, of w on nodes not held [..., I, d], on all nodes [..., N, d]."""
         fields = self.on_all(self.of_interior(w, u))
         return self.times(fields.reshape(-1, *self.shape)).reshape(fields.shape)
@@ -163,15 +164,13 @@ class CutSolid(OperatorBase):
         answer = self._problem.solve(*fields).reshape(given.shape)
         return Solution(answer, self.points, self, inner, "lu", measured=self._problem.left)
 
-    def _searched(
-        self, load: np.ndarray, known: np.ndarray
-    ) -> tuple[np.ndarray, list[SolveRecord]]:
+    def _searched(self, load: ndarray, known: ndarray) -> tuple[ndarray, list[SolveRecord]]:
         """Solve for fields [S, N, d] at rest by conjugate gradients."""
         free = ~self.held
         scale = free / np.where(free, self._rows.diagonal, 1.0) if self._rows else free
 
-        def inverse(r: np.ndarray) -> np.ndarray:
-            z: np.ndarray = r * scale
+        def inverse(r: ndarray) -> ndarray:
+            z: ndarray = r * scale
             if self.factors is not None:
                 z[free] = self.factors.solve(r[free])
             return z
@@ -207,14 +206,14 @@ class CutSolid(OperatorBase):
             return largest_stiffness(self.model, self.body.classes)
         return float(abs(self.matrix).sum(axis=1).max())
 
-    def energy(self, u: np.ndarray) -> Any:
+    def energy(self, u: ndarray) -> Any:
         """Elastic energy [stress · length^d], bonds among held nodes included, shape [...]."""
         fields = self.fields(u)
         energy = (fields * self.times(fields)).sum(axis=(1, 2)) / 2
         return self.body.spacing**self.body.dimension * in_shape_of(u, energy)[()]
 
 
-def by_component(held: ArrayLike, shape: Shape) -> np.ndarray:
+def by_component(held: ArrayLike, shape: Shape) -> ndarray:
     """Mask of given components, shape [N, d], of nodes [N] or components [N, d] bool."""
     mask = checked("held", held, bool)
     if mask.shape == shape[:1]:
@@ -222,12 +221,12 @@ def by_component(held: ArrayLike, shape: Shape) -> np.ndarray:
     return checked("held", mask, bool, shape).copy()
 
 
-def check_no_fail(no_fail: ArrayLike | None, count: int) -> np.ndarray:
+def check_no_fail(no_fail: ArrayLike | None, count: int) -> ndarray:
     """Nodes whose bonds do not break, shape [N] bool; InputError for numbers or another shape."""
     return checked("no_fail", np.zeros(count, bool) if no_fail is None else no_fail, bool, (count,))
 
 
-def check_pieces(body: LatticeBody, neighbour: np.ndarray, held: np.ndarray) -> None:
+def check_pieces(body: LatticeBody, neighbour: ndarray, held: ndarray) -> None:
     """Refuse a body of which cracks have cut a piece that nothing holds, as loose_pieces finds."""
     if held.all():
         raise InputError("free: expected at least one component, got none")
@@ -242,7 +241,7 @@ def check_pieces(body: LatticeBody, neighbour: np.ndarray, held: np.ndarray) -> 
         )
 
 
-def crack_load(cut: CutSolid, stress: np.ndarray, numbers: Any = None) -> Any:
+def crack_load(cut: CutSolid, stress: ndarray, numbers: Any = None) -> Any:
     """Body force density [stress / length] that presses on the cut faces, shape [N, d].
 
     Minus the force that the missing bonds would carry under the uniform stress: a body pulled by it
@@ -276,11 +275,11 @@ def grow(
     model: LPSMaterial,
     body: LatticeBody,
     held: ArrayLike,
-    u: np.ndarray,
+    u: ndarray,
     *,
     events: Count,
     cracks: Sequence[ArrayLike] = (),
-    no_fail: np.ndarray | None = None,
+    no_fail: ndarray | None = None,
     corrected: bool = False,
     progress: bool = False,
 ) -> Motion:
@@ -352,7 +351,7 @@ def apparent_toughness(
     return spent(growth, body.classes, tips=2) / unit_toughness(model, body.classes)
 
 
-def _westergaard(x: np.ndarray, half: float, lam: float, mu: float) -> np.ndarray:
+def _westergaard(x: ndarray, half: float, lam: float, mu: float) -> ndarray:
     """Displacement around a crack |x| < half in a plane under unit tension, [N, 2] (1939)."""
     y, z = x[:, 1], x[:, 0] + 1j * x[:, 1]
     root, kolosov = np.sqrt(z - half) * np.sqrt(z + half), (lam + 3 * mu) / (lam + mu)

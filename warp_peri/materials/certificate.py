@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from numpy import ndarray
 from numpy.linalg import svd
 
 from warp_peri.core.proof import Figures, certify, prove, stencil_of
@@ -147,7 +148,7 @@ def largest_parts(model: Any) -> list[float]:
     return parts
 
 
-def proven_kappa(stencil: Stencil, group: np.ndarray, classes: BondClasses, p: np.ndarray) -> float:
+def proven_kappa(stencil: Stencil, group: ndarray, classes: BondClasses, p: ndarray) -> float:
     """Proven upper bound of κ_p [stress^(−1/2)] of weights p by class [1/length²], or inf (N14)."""
     gradient = stencil.dimension * p[classes.bond_class, None] * classes.xi
     weight = squared(stencil.spacing, classes.steps, gradient)
@@ -155,7 +156,7 @@ def proven_kappa(stencil: Stencil, group: np.ndarray, classes: BondClasses, p: n
     return float(1 / np.sqrt(proven)) if proven > 0 else np.inf
 
 
-def squared(spacing: float, steps: np.ndarray, field: np.ndarray) -> Stencil:
+def squared(spacing: float, steps: ndarray, field: ndarray) -> Stencil:
     """Stencil f ∗ f of a field f(ξ) = −f(−ξ) on whole families [B, d]; symbol |Σ f(ξ) sin k·ξ|²."""
     d, far = steps.shape[1], 2 * np.abs(steps).max()
     box = np.zeros((2 * far + 1,) * d)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import numpy as np
 import scipy.sparse as sp
+from numpy import ndarray
 from numpy.linalg import inv, norm
 from numpy.typing import ArrayLike
 
@@ -46,7 +47,7 @@ class TensorOperator(OperatorBase):
         self.nodes, self.dtype = self.linear.grid, self.linear.dtype
         self.spacing, self.steps, self.tensors = stencil.spacing, stencil.steps, stencil.tensors
 
-    def force(self, u: ArrayLike) -> np.ndarray:
+    def force(self, u: ArrayLike) -> ndarray:
         """L u [stress/length] at the interior nodes, [..., I, d], for u [..., N, d]; InputError for
         other shapes or values that are not finite."""
         return elastic.in_shape_of(u, self.linear(self.fields(u)))
@@ -72,7 +73,7 @@ class TensorOperator(OperatorBase):
         """Equilibrium with the load b, less its mean, on a period."""
         return self.solve(b, np.zeros(np.shape(b)), solver)
 
-    def vjp(self, u: ArrayLike, w: ArrayLike) -> np.ndarray:
+    def vjp(self, u: ArrayLike, w: ArrayLike) -> ndarray:
         """Transposed product Lᵗ w on all nodes, [..., N, d], for w on the interior, at any u."""
         w = self.of_interior(w, u)
         pushed = [self.linear.push(one) for one in w.reshape(-1, *w.shape[-2:])]
@@ -90,7 +91,7 @@ class TensorOperator(OperatorBase):
         law = CrystalMaterial(self.spacing, self.steps, C, law.units, stress=held)
         return TensorOperator(law, self.points, dtype=self.dtype)
 
-    def by_numbers(self, name: str, u: ArrayLike, w: ArrayLike) -> np.ndarray:
+    def by_numbers(self, name: str, u: ArrayLike, w: ArrayLike) -> ndarray:
         """Derivatives of Σ w · L u with respect to the tensors, for u [K, N, d] and w [K, I, d]."""
         A = self.nodes.axes
         fields, weights = (one @ A for one in self.pairs(u, w))
@@ -102,7 +103,7 @@ class TensorOperator(OperatorBase):
         return elastic.symmetric_part(found)
 
     @cached_property
-    def ends(self) -> np.ndarray:
+    def ends(self) -> ndarray:
         """Numbers of the interior nodes and of the far ends of ±steps, [1 + 2 H, I]."""
         nodes, steps = self.nodes, self.steps
         number = np.full(np.prod(nodes.shape), -1)
@@ -111,7 +112,7 @@ class TensorOperator(OperatorBase):
         far = np.concatenate([0 * steps[:1], steps, -steps]).T[:, :, None] + at[:, None]
         return np.asarray(number[np.ravel_multi_index(tuple(far), nodes.shape, "wrap")])
 
-    def energy(self, u: ArrayLike) -> np.ndarray | float:
+    def energy(self, u: ArrayLike) -> ndarray | float:
         """Energy [stress · length^d] of bonds with an unknown end, [...] (T15); 2D: thickness 1."""
         collar, d = ~self.points.interior, self.nodes.dimension
         ones = np.repeat(np.eye(d)[:, None], self.points.interior.sum(), axis=1)
@@ -120,7 +121,7 @@ class TensorOperator(OperatorBase):
         bent = np.einsum("...na,ank,...nk->...", given, ends, given, optimize=True)
         return np.asarray(own + self.spacing**d / 2 * bent)[()]
 
-    def gradient(self, u: ArrayLike) -> np.ndarray:
+    def gradient(self, u: ArrayLike) -> ndarray:
         """Displacement gradient ∂u_a/∂x_b at interior nodes by least squares, [..., I, d, d]."""
         A, xi, ends = self.nodes.axes, self.spacing * self.steps, np.split(self.ends[1:], 2)
         fields = self.fields(u) @ A
@@ -129,7 +130,7 @@ class TensorOperator(OperatorBase):
             found += (fields[:, ahead] - fields[:, behind])[..., None] * weight
         return elastic.in_shape_of(u, A @ found @ A.T)
 
-    def stress(self, u: ArrayLike) -> np.ndarray:
+    def stress(self, u: ArrayLike) -> ndarray:
         """Stress C : ε of `gradient` at the interior nodes [stress], [..., I, d, d]: exact on
         affine fields, on others the stress of the solid that long waves see."""
         C = elastic.turned(self.model.tensor(), self.nodes.axes)
@@ -168,25 +169,25 @@ class StencilMaterial(Record):
         return self.stencil.dimension
 
     @property
-    def group(self) -> np.ndarray:
+    def group(self) -> ndarray:
         """Rotations and mirrors of the lattice that leave the stencil unchanged, [g, d, d]."""
         turns = lattice_group(self.dimension)
         return turns[[self.stencil.asymmetry(turn[None]) <= BROKEN for turn in turns]]
 
-    def symbol(self, k: np.ndarray) -> np.ndarray:
+    def symbol(self, k: ndarray) -> ndarray:
         """Symbol D(k) = 2 Σ_half C(ξ)(1 − cos k·ξ) (T2) at wave vectors k [..., d]; [..., d, d]."""
         k = checked("k", k, float, (..., self.dimension))
         D = self.stencil.symbol(k.reshape(-1, self.dimension) * self.stencil.spacing)
         return D.reshape(*k.shape, self.dimension)
 
-    def tensor(self) -> np.ndarray:
+    def tensor(self) -> ndarray:
         """Elastic tensor C_ijkl of long waves along the nodes' axes [stress], [d, d, d, d] (T4)."""
         held = getattr(self, "stress", None)  # adds to brackets (T19)
         brackets = self.stencil.brackets - (0 if held is None else elastic.stress_brackets(held))
         C = elastic_from_brackets(brackets)
         return np.asarray((C + C.transpose(2, 3, 0, 1)) / 2)
 
-    def elastic_tensor(self, unit: str | None = None) -> np.ndarray:
+    def elastic_tensor(self, unit: str | None = None) -> ndarray:
         """Voigt matrix of long waves along the nodes' axes, 3 × 3 in the plane (11, 22, 12), 6 × 6
         in space, in the law's stress unit or another, as "GPa"; InputError for an unknown unit."""
         return elastic.voigt(self.tensor()) * self._stress(unit)
@@ -260,14 +261,14 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
     """
 
     spacing: Length
-    steps: np.ndarray
-    tensors: Annotated[np.ndarray, FieldUnits(length=-2, stress=1)]
+    steps: ndarray
+    tensors: Annotated[ndarray, FieldUnits(length=-2, stress=1)]
     units: Units = USUAL
     symmetry: Symmetry = ""
     orientation: Any = None
     certificate: StencilCertificate | None = None
     provenance: Values = field(default_factory=dict)
-    stress: Annotated[np.ndarray | None, FieldUnits(stress=1, omit=True)] = None
+    stress: Annotated[ndarray | None, FieldUnits(stress=1, omit=True)] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -302,7 +303,7 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
         return self.spacing * float(norms(self.steps).max())
 
     @property
-    def group(self) -> np.ndarray:
+    def group(self) -> ndarray:
         """Symmetries that the nodes and the crystal share: integer matrices, shape [g, d, d]."""
         return shared_with_nodes(point_group(self.symmetry, self.dimension), self.orientation)
 

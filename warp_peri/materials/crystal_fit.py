@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy import ndarray
 from numpy.linalg import eigvalsh, lstsq, matrix_rank, svd
 
 from warp_peri.core import elastic
@@ -78,20 +79,14 @@ SAME = 1e-6
 class Tensors:
     """Unknowns θ of a crystal fit: C h² [stress] of all tensors that the group allows."""
 
-    def __init__(
-        self, spacing: float, horizon: float, symmetry: Symmetry, turn: np.ndarray
-    ) -> None:
+    def __init__(self, spacing: float, horizon: float, symmetry: Symmetry, turn: ndarray) -> None:
         self.spacing, self.symmetry, self.turn = spacing, symmetry, turn
         self.allowed = allowed_tensors(symmetry, turn)
         self.group = shared_with_nodes(point_group(symmetry, len(turn)), turn)
         self.bonds = invariant_basis(horizon / spacing, self.group)
 
     def fitted(
-        self,
-        R: np.ndarray,
-        y: np.ndarray,
-        tensor: np.ndarray | None,
-        stress: np.ndarray | None = None,
+        self, R: ndarray, y: ndarray, tensor: ndarray | None, stress: ndarray | None = None
     ) -> Settled:
         """Fit the tensors, and the numbers of extra columns, to rows R [n, P + E] and y [n],
         holding an elastic tensor along the nodes' axes, else Huang's relations alone. Raises
@@ -128,7 +123,7 @@ class Tensors:
             )
         one, none, floor = np.eye(R.shape[1]), np.zeros((0, R.shape[1])), FLOOR * soft
 
-        def law(theta: np.ndarray) -> Numbers:
+        def law(theta: ndarray) -> Numbers:
             form = Form(0, theta[:count], one[:count], floor)
             left = (A @ theta - a) / soft
             return Numbers([theta], [one], [form], left, A / soft, none[:, 0], none)
@@ -140,7 +135,7 @@ class Tensors:
         return found
 
     def crystal(
-        self, found: Settled, units: Units, record: Values, stress: np.ndarray | None = None
+        self, found: Settled, units: Units, record: Values, stress: ndarray | None = None
     ) -> CrystalMaterial:
         """Build the certified crystal from fitted numbers."""
         p = found.p[0][: len(self.bonds.basis)]
@@ -218,14 +213,14 @@ class Crystal:
         history = dict(material.provenance["fit"])
         return Fit(material, material.certificate, {}, history, left=found.loss)
 
-    def turn(self, given: Samples) -> np.ndarray:
+    def turn(self, given: Samples) -> ndarray:
         """Rotation from the crystal's axes to those of the samples' nodes, shape [d, d]."""
         stated, d = given.axis if self.orientation is None else self.orientation, given.dimension
         return (
             np.eye(d) if stated is None else given.lattice.axes.T @ checked_orientation(stated, d)
         )
 
-    def held_moduli(self, turn: np.ndarray) -> np.ndarray | None:
+    def held_moduli(self, turn: ndarray) -> ndarray | None:
         """The given elastic tensor along the nodes' axes; None where none was given."""
         if self.moduli is None or isinstance(self.moduli, str):
             if self.moduli not in (None, LONG_WAVES):
@@ -257,8 +252,8 @@ def fit_dispersion(
     *,
     symmetry: Symmetry,
     orientation: Any = None,
-    tensor: np.ndarray | None = None,
-    stress: np.ndarray | None = None,
+    tensor: ndarray | None = None,
+    stress: ndarray | None = None,
     units: Units = USUAL,
     largest_wave: Positive = LARGEST_WAVE,
     record: Values | None = None,
@@ -342,7 +337,7 @@ def fit_phonons(
             f"{cell / length:.3g} {symbols(units)[0]}, got {spacing:g}"
         )
 
-    def target(k: np.ndarray) -> np.ndarray:
+    def target(k: ndarray) -> ndarray:
         D = atoms.effective(k / length @ turn)  # k in the crystal's axes is Rᵗ k
         return np.asarray(turn @ D @ turn.T) * (length**2 / stress)
 
@@ -423,7 +418,7 @@ def plane_strain(law: CrystalMaterial, normal: int = 2) -> CrystalMaterial:
     the plane: a mirror or a twofold turn about the normal forbids it.
     """
     kept = _kept(law, normal)
-    sums: dict[tuple[int, ...], np.ndarray] = {}
+    sums: dict[tuple[int, ...], ndarray] = {}
     for step, C in zip(law.steps[:, kept].tolist(), law.tensors):
         if any(step):
             key = max(tuple(step), tuple(-s for s in step))

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import torch
+from numpy import ndarray
 from numpy.linalg import inv, norm, qr, svd
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
@@ -189,7 +190,7 @@ class DensityOperator(Pointwise):
         """The linear operator of the tangent at rest, on the same nodes."""
         return Linear(probed(self), self.points)
 
-    def straight(self, u: ArrayLike) -> np.ndarray:
+    def straight(self, u: ArrayLike) -> ndarray:
         """Force of the tangent at rest, shape [..., I, d]."""
         return in_shape_of(u, self.linear(self.fields(u)))
 
@@ -211,7 +212,7 @@ class DensityOperator(Pointwise):
         return equilibria_of(self, b, u, solver)
 
 
-def slopes(left: arguments.ArrayMap, x: np.ndarray) -> np.ndarray:
+def slopes(left: arguments.ArrayMap, x: ndarray) -> ndarray:
     """Derivatives of a function by numbers x [T], [n, T], from both sides, or from one where the
     other has no answer; 0 where neither has."""
     columns = []
@@ -223,7 +224,7 @@ def slopes(left: arguments.ArrayMap, x: np.ndarray) -> np.ndarray:
     return np.array(columns).T if columns else np.zeros((len(left(x)), 0))
 
 
-def untold(R: np.ndarray, first: np.ndarray) -> np.ndarray:
+def untold(R: ndarray, first: ndarray) -> ndarray:
     """Which numbers [T] rows R [n, T] do not tell, alone or apart from others. Columns count as
     large as at the `first` numbers, at least: what has become zero by the data is told by them."""
     now = norm(R, axis=0)
@@ -286,12 +287,12 @@ class Density:
 
         scale = np.array([abs(value) or felt(name) for name, value in material.parameters.items()])
 
-        def left(x: np.ndarray) -> np.ndarray:
+        def left(x: ndarray) -> ndarray:
             op = operator.at(dict(zip(names, scale * x)))
             found = op(given.u) if by_force else op.solve(given.loads, given.u).u[:, inside]
             return np.pad(((found - right) / size).ravel(), (0, max(0, len(x) - right.size)))
 
-        def tried(x: np.ndarray) -> np.ndarray:
+        def tried(x: ndarray) -> ndarray:
             with suppress(InputError):  # a step without an answer is too long
                 return left(x)
             return nowhere

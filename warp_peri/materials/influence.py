@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 from numpy.linalg import lstsq, solve
 from numpy.typing import ArrayLike
 
@@ -89,7 +90,7 @@ class InfluenceFunction:
         return str(getattr(inner, "__name__", type(inner).__name__))
 
     @property
-    def vector(self) -> np.ndarray:
+    def vector(self) -> ndarray:
         """All parameters of the influence function in one vector, shape [P]."""
         return np.concatenate([np.zeros(0), *map(np.ravel, self.parameters.values())])
 
@@ -104,7 +105,7 @@ class InfluenceFunction:
         lowest, highest = np.concatenate([np.zeros((0, 2)), *pairs]).T
         return lowest, highest
 
-    def at(self, vector: np.ndarray) -> InfluenceFunction:
+    def at(self, vector: ndarray) -> InfluenceFunction:
         """The influence function with other parameters, in one vector [P]."""
         values, first = Values(), 0
         vector = checked("vector", vector, float, self.vector.shape)
@@ -114,7 +115,7 @@ class InfluenceFunction:
             first += np.size(value)
         return replace(self, parameters=values)
 
-    def __call__(self, r: ArrayLike) -> np.ndarray:
+    def __call__(self, r: ArrayLike) -> ndarray:
         """Values of K at the distances r [Å], of the shape of r."""
         distance, name = checked("r", r), f"influence '{self.name}'"
         what, named = f"{name}: expected a function of r [R]", copy.deepcopy(self.parameters)
@@ -127,7 +128,7 @@ class InfluenceFunction:
             )
         return K
 
-    def slopes(self, r: np.ndarray) -> np.ndarray:
+    def slopes(self, r: ndarray) -> ndarray:
         """Derivatives of K by the parameters, [R, P], by differences within the bounds."""
         p, columns = self.vector, []
         small, large = sorted((1.0, np.max(r)))  # of lengths, and of what has no unit
@@ -146,7 +147,7 @@ class InfluenceFunction:
             columns.append(weights @ K / step)
         return np.reshape(columns, (len(p), len(r))).T
 
-    def coefficients(self, lengths: ArrayLike, horizon: Positive) -> tuple[np.ndarray, float]:
+    def coefficients(self, lengths: ArrayLike, horizon: Positive) -> tuple[ndarray, float]:
         """Bernstein coefficients D [M + 1] with α = 0, exact at bond lengths [Å], and how far they
         are off between them, relative to the largest |K| at one.
 
@@ -211,19 +212,19 @@ class InfluenceFunction:
 
 
 @typed
-def gaussian(r: np.ndarray, width: Positive) -> np.ndarray:
+def gaussian(r: ndarray, width: Positive) -> ndarray:
     """Gaussian influence function exp(−(r/width)²), width [Å]."""
     return np.exp(-((checked("r", r) / width) ** 2))
 
 
 @typed
-def exponential(r: np.ndarray, length: Positive) -> np.ndarray:
+def exponential(r: ndarray, length: Positive) -> ndarray:
     """Exponential influence function exp(−r/length), length [Å]."""
     return np.exp(-checked("r", r) / length)
 
 
 @typed
-def conical(r: np.ndarray, reach: Positive) -> np.ndarray:
+def conical(r: ndarray, reach: Positive) -> ndarray:
     """Conical influence function 1 − r/reach out to the reach [Å], 0 beyond."""
     return np.maximum(1 - checked("r", r) / reach, 0.0)
 
@@ -261,7 +262,7 @@ def table(r: ArrayLike, K: ArrayLike, *, learned: bool = False) -> InfluenceFunc
     return InfluenceFunction(functools.partial(function, K=given))
 
 
-def tabulated(r: np.ndarray, K: np.ndarray, knots: np.ndarray) -> np.ndarray:
+def tabulated(r: ndarray, K: ndarray, knots: ndarray) -> ndarray:
     """Piecewise linear K at distances r between its values at the knots."""
     return np.asarray(np.interp(r, knots, K))
 

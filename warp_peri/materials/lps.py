@@ -8,6 +8,7 @@ from functools import partial
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from numpy import ndarray
 from numpy.typing import ArrayLike
 from scipy.special import comb
 
@@ -52,10 +53,10 @@ INF_SUP = ("inf_sup_min", "inf_sup_rank")
 """Those of no unit."""
 AVERAGED = 8
 """Positions along the radius of the ball that moduli as a function are averaged over."""
-Modulus = ArrayLike | Callable[[np.ndarray], ArrayLike]
+Modulus = ArrayLike | Callable[[ndarray], ArrayLike]
 
 
-def bernstein_basis(r: ArrayLike, horizon: float, degree: int) -> np.ndarray:
+def bernstein_basis(r: ArrayLike, horizon: float, degree: int) -> ndarray:
     """Bernstein polynomials B_k,M(r/δ) at lengths in [0, δ], to rounding, shape [..., M + 1]."""
     if degree > LARGEST_DEGREE:
         raise InputError(f"degree: expected at most {LARGEST_DEGREE}, got {degree}")
@@ -64,7 +65,7 @@ def bernstein_basis(r: ArrayLike, horizon: float, degree: int) -> np.ndarray:
     return np.asarray(comb(degree, k) * t**k * (1 - t) ** (degree - k))
 
 
-def check_influence(alpha: float, D: np.ndarray) -> None:
+def check_influence(alpha: float, D: ndarray) -> None:
     """Raise InputError for an exponent or coefficients that make no influence function."""
     if D.ndim != 1:
         raise InputError(f"D: expected a list of numbers, got lists of shape {list(D.shape)}")
@@ -135,7 +136,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
     lam: Annotated[float, FieldUnits(stress=1, key="lambda", spread=True)]
     mu: Annotated[float, FieldUnits(stress=1, spread=True)]
     alpha: float
-    D: np.ndarray
+    D: ndarray
     horizon: Length
     trained_on: Annotated[tuple[float, ...], FieldUnits(length=1)] = ()
     certified_on: Annotated[tuple[float, ...], FieldUnits(length=1, positive=True)] = ()
@@ -149,7 +150,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
     versions: Values = field(default_factory=dict)
     units: Units = USUAL
     dimension: Annotated[int, FieldUnits(omit=True)] = 2
-    nodes: Annotated[np.ndarray | None, FieldUnits(length=1, omit=True)] = None
+    nodes: Annotated[ndarray | None, FieldUnits(length=1, omit=True)] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -224,7 +225,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
             return self
         return replace(self, lam=float(np.mean(self.lam)), mu=float(np.mean(self.mu)), nodes=None)
 
-    def with_parameters(self, numbers: Numbers, nodes: np.ndarray | None = None) -> LPSMaterial:
+    def with_parameters(self, numbers: Numbers, nodes: ndarray | None = None) -> LPSMaterial:
         """The unproven material with other `learnable` numbers, fields for some nodes [N, d]."""
         made = renumbered(self.learnable, numbers)
         fields = any(np.ndim(made[name]) for name in ("lam", "mu"))
@@ -262,7 +263,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
         return self
 
     @property
-    def group(self) -> np.ndarray:
+    def group(self) -> ndarray:
         """Symmetries of a lattice of nodes that leave the solid unchanged, shape [g, d, d]."""
         return lattice_group(self.dimension)
 
@@ -287,7 +288,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
         """Poisson's ratio of the continuum; of a sheet in plane stress."""
         return self.lam / ((self.dimension - 1) * self.lam + 2 * self.mu)
 
-    def influence(self, r: ArrayLike) -> np.ndarray:
+    def influence(self, r: ArrayLike) -> ndarray:
         """Influence function K at the distances r [Å] in (0, δ]."""
         r, most = checked("r", r), self.horizon * (1 + 4 * SPACING_TOLERANCE)  # of one near by
         if not ((r > 0) & (r <= most)).all():
@@ -472,7 +473,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
         ]
 
 
-def weighted_volume(classes: BondClasses, kw: np.ndarray, name: str = "influence function") -> Any:
+def weighted_volume(classes: BondClasses, kw: ndarray, name: str = "influence function") -> Any:
     """Weighted volume m = Σ n r² K W on a lattice (theory, 5); InputError where it is zero."""
     terms = classes.count * kw * classes.r**2
     if not abs(terms.sum()) > CANCELLED * np.abs(terms).sum():
@@ -483,7 +484,7 @@ def weighted_volume(classes: BondClasses, kw: np.ndarray, name: str = "influence
     return terms.sum()
 
 
-def stiffnesses(model: LPSMaterial, classes: BondClasses) -> tuple[np.ndarray, float]:
+def stiffnesses(model: LPSMaterial, classes: BondClasses) -> tuple[ndarray, float]:
     """Stiffnesses v [TPa/Å²] of the bond classes and κ = (λ−μ)/μ² [1/TPa] of a model on a lattice.
     Raises InputError for an influence function of zero weighted volume, and another dimension."""
     if model.nodes is not None:
@@ -498,7 +499,7 @@ def stiffnesses(model: LPSMaterial, classes: BondClasses) -> tuple[np.ndarray, f
     return mu * kw / weighted_volume(classes, kw), (model.lam - mu) / mu / mu  # mu² may be 0
 
 
-def stencil_of(classes: BondClasses, v: np.ndarray, kappa: float) -> Stencil:
+def stencil_of(classes: BondClasses, v: ndarray, kappa: float) -> Stencil:
     """Make a stencil of class stiffnesses; products of dilatations make bonds of range 2δ."""
     d = classes.steps.shape[1]
     reach = np.abs(classes.steps).max()

@@ -12,6 +12,7 @@ from importlib.metadata import version
 from typing import Any, Literal
 
 import numpy as np
+from numpy import ndarray
 from scipy.sparse.linalg import splu
 from tqdm.auto import tqdm
 
@@ -266,7 +267,7 @@ class Learner:
         return found
 
     @property
-    def lengths(self) -> np.ndarray:
+    def lengths(self) -> ndarray:
         """Bond lengths of all lattices."""
         return np.concatenate([classes.r for classes in self.lattices])
 
@@ -339,7 +340,7 @@ class Learner:
         self.history.append(Stage(name, found.solid, error, seconds, found.losses, steps))
         return found
 
-    def left(self, found: LPSFound) -> list[np.ndarray]:
+    def left(self, found: LPSFound) -> list[ndarray]:
         """Residual ‖L u − b‖ of every sample of each set by Warp's operator."""
         return [one.left(*found.solid.values()) for one in self.products]
 

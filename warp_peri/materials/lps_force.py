@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 import warp as wp
+from numpy import ndarray
 from numpy.linalg import inv
 from numpy.typing import ArrayLike
 from scipy.special import comb
@@ -64,9 +65,9 @@ class Layout:
     end: wp.array[Any]
     bond: wp.array[Any]
     in_rows: bool
-    back: np.ndarray
-    node: np.ndarray
-    home: np.ndarray
+    back: ndarray
+    node: ndarray
+    home: ndarray
     pieces: dict[str | None, wp.array[Any]]
 
 
@@ -131,9 +132,7 @@ class Bonds:
         to, back = np.where(end < 0, 0, end - owner), np.where(end < 0, np.arange(len(end)), back)
         return self._laid(families.row, to, xi, kind, False, back, nodes, nodes, pieces)
 
-    def _laid(
-        self, row: np.ndarray, end: np.ndarray, xi: np.ndarray, kind: np.ndarray, *others: Any
-    ) -> Layout:
+    def _laid(self, row: ndarray, end: ndarray, xi: ndarray, kind: ndarray, *others: Any) -> Layout:
         """Layout of bonds of these classes, with its other members."""
         weight, r2 = self.families.weight[kind], (xi**2).sum(axis=1)
         of_bond = map(floats, (np.where(end == 0, 0.0, weight), weight * r2))
@@ -195,7 +194,7 @@ class Bonds:
         r = families.r[first]
         return r, np.log(r), (np.cumsum(first) - 1)[np.minimum(of, back)]
 
-    def influence(self, alpha: ArrayLike, D: np.ndarray, by: Any = None) -> Any:
+    def influence(self, alpha: ArrayLike, D: ndarray, by: Any = None) -> Any:
         """Influence K of each length; with derivatives `by` to it, those to α and D."""
         terms, taped, (r, log_r, _) = np.size(D), by is not None, self.lengths
         count = -(-len(r) // BLOCK)
@@ -225,14 +224,14 @@ class Bonds:
         return [sum(one.grad.numpy().ravel() for one in each) for each in zip(*given)]
 
     @cached_property
-    def left(self) -> np.ndarray:
+    def left(self) -> ndarray:
         """Indices of the unbroken bonds of nodes with broken ones."""
         if not len(cut := self.families.cut):
             return cut
         owner, end, _, _ = self.listing
         return np.flatnonzero((end >= 0) & np.isin(owner, cut))
 
-    def inverted(self, kw: np.ndarray) -> Several:
+    def inverted(self, kw: ndarray) -> Several:
         """K W and S⁻¹ ξ, (40–41), of the bonds `left`, and the indices of their owners in `cut`."""
         owner, _, xi, kind = (one[self.left] for one in self.listing)
         place, d, weight = np.searchsorted(self.families.cut, owner), self.dimension, kw[kind]
@@ -240,9 +239,9 @@ class Bonds:
         np.add.at(shape, place, weight[:, None, None] * xi[:, :, None] * xi[:, None])
         return weight, np.einsum("eab,eb->ea", inv(shape)[place], xi), place
 
-    def bent(self, kw: np.ndarray, own: np.ndarray) -> np.ndarray:
+    def bent(self, kw: ndarray, own: ndarray) -> ndarray:
         """Factors of u(ξ) − u in θ, [E, d]: d K W/m ξ, or K W S⁻¹ ξ beside broken bonds (40–41)."""
-        found: np.ndarray = self.dimension * own[:, None] * self.listing[2]
+        found: ndarray = self.dimension * own[:, None] * self.listing[2]
         if len(self.left):
             weight, turned, _ = self.inverted(kw)
             found[self.left] = weight[:, None] * turned
@@ -257,7 +256,7 @@ class Bonds:
             last = self.kept = key, Law(self, arrays, known)
         return last[1]
 
-    def check_volumes(self, alpha: float, D: np.ndarray) -> None:
+    def check_volumes(self, alpha: float, D: ndarray) -> None:
         """Raise InputError for an influence function whose weighted volume vanishes."""
         families, balls = self.families, self.layout.balls
         terms = balls.square.numpy() * self.influence(alpha, D)[balls.length.numpy()]
@@ -272,11 +271,11 @@ class Bonds:
             )
 
 
-def _vectors(values: np.ndarray) -> wp.array[Any]:
+def _vectors(values: ndarray) -> wp.array[Any]:
     return floats(np.ascontiguousarray(values), wp.types.vector(values.shape[1], wp.float64))
 
 
-def _pieces(places: np.ndarray, numbers: np.ndarray, lanes: int) -> wp.array[Any]:
+def _pieces(places: ndarray, numbers: ndarray, lanes: int) -> wp.array[Any]:
     """Pieces of at most `lanes` lanes, in the order of their places, [P] of vectors."""
     order = np.argsort(places, kind="stable")
     return ints(row_pieces(places[order], lanes, numbers[order]), wp.vec3i)
@@ -312,7 +311,7 @@ class Law:
     Raises InputError for moduli of another shape, and λ ≠ μ on bonds that are bond-based.
     """
 
-    def __init__(self, bonds: Bonds, values: list[np.ndarray], known: Law | None) -> None:
+    def __init__(self, bonds: Bonds, values: list[ndarray], known: Law | None) -> None:
         self.bonds, self.values = bonds, values
         lam, mu, alpha, D = values
         for name, one in (("lambda", lam), ("mu", mu)):
@@ -334,7 +333,7 @@ class Law:
         self.kernels = sweeps(bonds.dimension, lattice=layout.in_rows, fields=self.fields)
 
     @cached_property
-    def kw(self) -> np.ndarray:
+    def kw(self) -> ndarray:
         """K W of each bond class, [C]."""
         bonds = self.bonds
         return np.asarray(bonds.families.weight * self.K[bonds.lengths[2]])
@@ -361,7 +360,7 @@ class Law:
         known = [getattr(of, name) for name in Form.vars][:7]
         return filled(Form, *known, floats(self.own[layout.back]), _vectors(bent))
 
-    def _sweep(self, of: Any, pieces: Sequence[str | None], *fields: np.ndarray) -> None:
+    def _sweep(self, of: Any, pieces: Sequence[str | None], *fields: ndarray) -> None:
         """Lay out values, find dilatations, then forces, on the named pieces (None: skip); fields
         are values by number, planes, dilatations and forces by number."""
         bonds, samples = self.bonds, len(fields[0])
@@ -384,7 +383,7 @@ class Law:
         shared()
         ready.append((shared, ends, of))
 
-    def force(self, u: np.ndarray) -> Several:
+    def force(self, u: ndarray) -> Several:
         """L u, and the laid-out displacement and dilatations, which a gradient reads."""
         bonds, size, places = self.bonds, len(u), len(self.bonds.layout.node)
         d = bonds.dimension
@@ -393,7 +392,7 @@ class Law:
         self._sweep(self.forward, ("laid", "needed", "forces"), u, planes, theta, Lu)
         return Lu, planes, theta
 
-    def transposed(self, g: np.ndarray, *, asked: bool = True) -> Several:
+    def transposed(self, g: ndarray, *, asked: bool = True) -> Several:
         """Lᵗ g on all nodes if asked, g laid out, and its dilatation by the transpose."""
         bonds, layout, size, d = self.bonds, self.bonds.layout, len(g), self.bonds.dimension
         seeds, tau = (np.zeros((size, n * len(layout.node))) for n in (d, 1))
@@ -403,9 +402,7 @@ class Law:
         self._sweep(self.back, ("back", "needed", "nodes" if asked else None), g, seeds, tau, by_u)
         return by_u, seeds, tau
 
-    def gradient(
-        self, felt: Sequence[np.ndarray], g: np.ndarray, asked: Sequence[bool]
-    ) -> list[Any]:
+    def gradient(self, felt: Sequence[ndarray], g: ndarray, asked: Sequence[bool]) -> list[Any]:
         """Derivatives of a scalar to u [S, d N], λ and μ, α and D, None where not asked, from
         planes and dilatations of `force` (`felt`) and the derivative g to L u."""
         bonds, layout, (lam, mu, alpha, D) = self.bonds, self.bonds.layout, self.values
@@ -432,7 +429,7 @@ class Law:
         by_K = self._by_length(by_own.ravel(), felt[0], pull[1])
         return [by_u, *moduli, *bonds.influence(alpha, D, by_K)]
 
-    def _by_length(self, by: np.ndarray, u: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    def _by_length(self, by: ndarray, u: ndarray, tau: ndarray) -> ndarray:
         """Derivatives by K of each length from those to `own` of each bond, [E], as if every
         dilatation were d own ξ·(u(ξ) − u). At nodes with broken bonds (40–41) a bond f adds p_f ·
         S⁻¹ ξ_f − (S⁻¹ ξ_f) · (Σ_e K W p_e ⊗ S⁻¹ ξ_e) ξ_f, p the derivative to K W S⁻¹ ξ."""
@@ -478,7 +475,7 @@ class Matrices:
     phi: sp.csr_array
     psi: sp.csr_array
 
-    def within(self, interior: np.ndarray) -> Pair:
+    def within(self, interior: ndarray) -> Pair:
         """Γ and Φ between interior nodes alone, dense, [d I, d I] and [I, d I]."""
         unknown = np.repeat(interior, self.gamma.shape[1] // len(interior))
         return self.gamma[:, unknown].toarray(), self.phi[interior][:, unknown].toarray()
@@ -490,7 +487,7 @@ class Matrices:
         return sp.csr_array(mu * self.gamma - (lam - mu) * (self.psi @ self.phi))
 
 
-def assemble(bonds: Bonds, kw: np.ndarray, m: Any, mu: Any = 1.0) -> Matrices:
+def assemble(bonds: Bonds, kw: ndarray, m: Any, mu: Any = 1.0) -> Matrices:
     """Assemble Γ, Φ and Ψ from K W by class, weighted volumes (of nodes or one), and a field μ."""
     families, nodes, d = bonds.families, bonds.nodes, bonds.dimension
     owner, end, xi, kind = bonds.listing
@@ -502,7 +499,7 @@ def assemble(bonds: Bonds, kw: np.ndarray, m: Any, mu: Any = 1.0) -> Matrices:
     shear = 2 * (d + 2) / (xi**2).sum(axis=1)
     shear = shear * (mu[owner] + mu[end]) / 2 if np.ndim(mu) else shear
 
-    def at(where: np.ndarray, values: np.ndarray) -> sp.csr_array:
+    def at(where: ndarray, values: ndarray) -> sp.csr_array:
         """Map fields of c components to values · field at a node of each bond, [E, c N]."""
         c = values.shape[1]
         columns = c * where[:, None] + np.arange(c)

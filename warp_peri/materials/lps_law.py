@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, TypeAlias, cast
 
 import numpy as np
+from numpy import ndarray
 from numpy.linalg import lstsq, svd
 
 from warp_peri.core.elastic import lattice_group, symmetric_part
@@ -188,7 +189,7 @@ METHODS = {"optimum": GaussNewton, "two-stage": TwoStage, "constrained": Augment
 """Fit methods by their names in a shell."""
 
 
-def products(model: LPSMaterial, classes: BondClasses) -> np.ndarray:
+def products(model: LPSMaterial, classes: BondClasses) -> ndarray:
     """The products v, and κ v v of the pairs of classes, of a model on a lattice; shape [P]."""
     v, kappa = stiffnesses(model, classes)
     i, j = np.triu_indices(len(v))
@@ -242,12 +243,12 @@ class Products:
         self.classes = bond_classes(h, horizon, dimension=d, degree=quadrature_degree)
         self.bonds = product_basis(self.classes)
 
-    def left(self, *numbers: Any) -> np.ndarray:
+    def left(self, *numbers: Any) -> ndarray:
         """Residual ‖L u − b‖ of each sample by Warp's operator at λ, μ, α and D, shape [S]."""
         force = self.warp.law(*numbers).force(self.u.reshape(len(self.b), -1))[0]
         return norms(force - self.b.reshape(force.shape))
 
-    def rows(self, weight: np.ndarray, samples: Samples | None = None) -> LatticeRows:
+    def rows(self, weight: ndarray, samples: Samples | None = None) -> LatticeRows:
         """Rows of Σ_s weight_s ‖L u − b‖², weight [S], for its samples or others on the nodes."""
         given = self.samples if samples is None else samples
         R, y = rows(given, self.bonds, weight=np.sqrt(weight), least=self.least)
@@ -325,11 +326,11 @@ class BernsteinKernel:
         first = lattices[0]
         self._plain = first.count * first.r**2 * first.weight
 
-    def start(self, found: LPSFound) -> np.ndarray:
+    def start(self, found: LPSFound) -> ndarray:
         """Coordinates q of given coefficients, of any scale."""
         return np.append(self._q_of_D @ found.solid.D, [self.alpha] * self.free_alpha)
 
-    def tables(self, q: np.ndarray) -> list[np.ndarray]:
+    def tables(self, q: ndarray) -> list[ndarray]:
         """K W of the kernel on each lattice, shape [..., C]."""
         alpha = q[..., -1:] if self.free_alpha else self.alpha
         # Constraints bound α; on its way a search may look where r^(−α) overflows.
@@ -339,7 +340,7 @@ class BernsteinKernel:
             for basis, log_r in zip(self._basis, self._log_r)
         ]
 
-    def limits(self, q: np.ndarray) -> np.ndarray:
+    def limits(self, q: ndarray) -> ndarray:
         """Constraints ≥ 0 that keep α within its bounds."""
         alpha = q[..., len(q.T) - self.free_alpha :]
         return np.concatenate([LARGEST_ALPHA - alpha, alpha - SMALLEST_ALPHA], axis=-1)
@@ -348,12 +349,12 @@ class BernsteinKernel:
         """Weighted volume Σ n r² K W of K = (r/δ)^(−α) on the first lattice."""
         return float(self._plain @ np.exp(-alpha * self._log_r[0]))
 
-    def rough(self, q: np.ndarray, mu: np.ndarray) -> np.ndarray:
+    def rough(self, q: ndarray, mu: ndarray) -> ndarray:
         """Second differences of D, scaled to a kernel of plain volume."""
         bends = q[..., : self.rank] @ (self._second @ self.D_of_q).T
         return np.asarray(self._volume(self.alpha) * bends / mu)
 
-    def coefficients(self, q: np.ndarray, mu: float) -> tuple[np.ndarray, float, None]:
+    def coefficients(self, q: ndarray, mu: float) -> tuple[ndarray, float, None]:
         """D, the smoothest with the weighted volume of K = r^(−α), and α."""
         alpha = float(q[-1]) if self.free_alpha else self.alpha
         return self.D_of_q @ q[: self.rank] * (self._volume(alpha) / mu), alpha, None
@@ -381,14 +382,14 @@ class ShapeKernel:
             weighted_volume(classes, classes.weight * shape(classes.r), name)
         self._scale = max(np.abs(each.weight * shape(each.r)).max() for each in lattices)
 
-    def start(self, found: LPSFound) -> np.ndarray:
+    def start(self, found: LPSFound) -> ndarray:
         """Coordinates q of the shape at the scale of a solid."""
         return np.append(1.0, self._first)
 
-    def _at(self, q: np.ndarray) -> InfluenceFunction:
+    def _at(self, q: ndarray) -> InfluenceFunction:
         return self.shape.at(self._size * np.clip(q[1:].real, *self._ends))
 
-    def tables(self, q: np.ndarray) -> list[np.ndarray]:
+    def tables(self, q: ndarray) -> list[ndarray]:
         """K W on each lattice, [..., C], for q that differ in their imaginary parts alone."""
         shape, ahead = self._at(q.reshape(-1, q.shape[-1])[0]), (q - q.real)[..., 1:]
         return [
@@ -398,17 +399,17 @@ class ShapeKernel:
             for classes in self.lattices
         ]
 
-    def limits(self, q: np.ndarray) -> np.ndarray:
+    def limits(self, q: ndarray) -> ndarray:
         """Distances of the parameters from their bounds, as shares of the range."""
         apart = np.concatenate([q[..., 1:] - self._ends[0], self._ends[1] - q[..., 1:]], axis=-1)
         bounded = np.isfinite(np.concatenate(self._ends))
         return np.asarray(apart[..., bounded] / np.tile(self._room, 2)[bounded])
 
-    def rough(self, q: np.ndarray, mu: np.ndarray) -> np.ndarray:
+    def rough(self, q: ndarray, mu: ndarray) -> ndarray:
         """Distances of the parameters from their start, to hold those that hardly matter."""
         return np.asarray(q[..., 1:] - self._first)
 
-    def coefficients(self, q: np.ndarray, mu: float) -> tuple[np.ndarray, float, InfluenceFunction]:
+    def coefficients(self, q: ndarray, mu: float) -> tuple[ndarray, float, InfluenceFunction]:
         """D and α of the polynomial that stands for the shape, and the shape."""
         shape, lengths = self._at(q), np.concatenate([classes.r for classes in self.lattices])
         return shape.coefficients(lengths, self.lattices[0].horizon)[0], 0.0, shape
@@ -443,7 +444,7 @@ class LPSLaw:
             fourth = d * (d + 2) * (x[0] * x[1]) ** 2 / (x**2).sum(axis=0)
             self._shears.append(np.bincount(each.bond_class, fourth)[:, None])
 
-    def start(self, found: LPSFound) -> np.ndarray:
+    def start(self, found: LPSFound) -> ndarray:
         """Coordinates θ of a solid, its moduli raised where μ is below the floor ζ."""
         lam, mu, q = found.solid.lam, found.solid.mu, self.kernel.start(found)
         if mu < self.zeta:
@@ -451,14 +452,14 @@ class LPSLaw:
         q[: self.kernel.rank] *= mu / (self.size * self.kernel.tables(q)[0] @ self._sigma[0])
         return np.append(self.unit * (lam - mu) / mu**2, q)
 
-    def stiffnesses(self, theta: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
+    def stiffnesses(self, theta: ndarray) -> tuple[list[ndarray], ndarray]:
         """v on each lattice, [..., C], and the common μ = Σ n r² v, [..., 1]."""
         sigma, (first, *others) = self._sigma, self.kernel.tables(theta[..., 1:])
         mu = self.size * first @ sigma[0]
         scaled = (v * (mu / (v @ one)) for v, one in zip(others, sigma[1:]))
         return [self.size * first, *scaled], mu
 
-    def values(self, theta: np.ndarray) -> list[np.ndarray]:
+    def values(self, theta: ndarray) -> list[ndarray]:
         """Equalities and inequalities at θ in parts of ζ; penalties; and the products (v, κ v⊗v) of
         each form, L itself first, on each lattice; [..., ·]."""
         (v, mu), kappa, zeta = self.stiffnesses(theta), theta[..., :1] / self.unit, self.zeta
@@ -481,7 +482,7 @@ class LPSLaw:
             ),
         ]
 
-    def __call__(self, theta: np.ndarray) -> Numbers:
+    def __call__(self, theta: ndarray) -> Numbers:
         ahead = self.values(theta + 1j * STEP * np.eye(len(theta)))
         made = [(one[0].real, one.imag.T / STEP) for one in ahead]
         (equal, A), (margins, M), (beside, by), *products = made

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 import warp as wp
+from numpy import ndarray
 from numpy.linalg import inv
 from numpy.typing import ArrayLike
 
@@ -104,13 +105,13 @@ class LPSOperator(OperatorBase):
     def _law(self) -> Law:
         return self.bonds.law(*self.learnable.values())
 
-    def force(self, u: ArrayLike) -> np.ndarray:
+    def force(self, u: ArrayLike) -> ndarray:
         """Force L u on the interior nodes, shape [..., I, d]; InputError for another shape."""
         field = np.require(self.as_fields(u), float, ["C", "W"])
         Lu = self._law.force(field.reshape(-1, self.points.x.size))[0]
         return Lu.reshape(*field.shape[:-2], -1, field.shape[-1])
 
-    def vjp(self, u: Any, w: ArrayLike) -> np.ndarray:
+    def vjp(self, u: Any, w: ArrayLike) -> ndarray:
         """Transposed product Lᵗ w on all nodes, [..., N, d], for w [..., I, d], at any u."""
         w = np.require(self.of_interior(w, u), float, ["C", "W"])
         by_u = self._law.transposed(w.reshape(-1, w.shape[-2] * w.shape[-1]))[0]
@@ -208,7 +209,7 @@ class LPSOperator(OperatorBase):
         if self.model.nodes is not None:
             grid = linear.grid
 
-            def pull(planes: np.ndarray) -> np.ndarray:
+            def pull(planes: ndarray) -> ndarray:
                 u = np.zeros((len(planes), *self.shape))
                 flat = planes[:, :, *grid.core] if grid.periodic else planes
                 flat = flat.reshape(*planes.shape[:2], -1)[:, :, grid.place]
@@ -226,11 +227,11 @@ class LPSOperator(OperatorBase):
             return None
         return self.model.statements.get(self.model.certified_spacing_near(spacing))
 
-    def energy(self, u: np.ndarray) -> np.ndarray | None:
+    def energy(self, u: ndarray) -> ndarray | None:
         """Energy h^d (½ u_I·L u_I + u_I·L u_C) [stress · length^d], [...], where L is symmetric."""
         return self.quadratic(u) if self.is_symmetric else None
 
-    def stress(self, u: np.ndarray) -> np.ndarray | None:
+    def stress(self, u: ndarray) -> ndarray | None:
         """Stress σ [TPa] at the interior nodes, [..., I, d, d]."""
         return in_shape_of(u, node_fields(self.model, self.points, u).stress)
 
@@ -299,7 +300,7 @@ class LPSOperator(OperatorBase):
         return self.linear.cheapest_inverse(loads)
 
     def _iterated(
-        self, load: np.ndarray, method: str, tolerance: float, b: np.ndarray, u: np.ndarray
+        self, load: ndarray, method: str, tolerance: float, b: ndarray, u: ndarray
     ) -> Solution:
         """Equilibrium of fields [S, N, d] by iteration."""
         if self.model.nodes is None:
@@ -308,7 +309,7 @@ class LPSOperator(OperatorBase):
         return self._answer(load, found, method, took)
 
     def _answer(
-        self, load: np.ndarray, found: np.ndarray, method: str, took: Sequence[SolveRecord] = ()
+        self, load: ndarray, found: ndarray, method: str, took: Sequence[SolveRecord] = ()
     ) -> Solution:
         """Solution in the shape of the load; warns of strain beyond the data."""
         u = found.reshape(load.shape)
@@ -369,13 +370,13 @@ def lps_force(bonds: Bonds, u: Tensor, *values: Any) -> Tensor:
     without a gradient; InputError otherwise, and for moduli of another shape."""
     bridge, felt = core.torch_bridge, list[Any]()
 
-    def there(u: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray]:
+    def there(u: ndarray, *values: ndarray) -> tuple[ndarray]:
         law = bonds.law(*values)
         Lu, *kept = law.force(np.ascontiguousarray(u))
         felt[:] = law, kept
         return (Lu,)
 
-    def back(asked: tuple[bool, ...], g: np.ndarray) -> list[Any]:
+    def back(asked: tuple[bool, ...], g: ndarray) -> list[Any]:
         law, kept = felt
         return law.gradient(kept, g, asked)  # type: ignore[no-any-return]
 
@@ -396,10 +397,10 @@ class NodeFields:
         energy: density [TPa], shape [S, I].
     """
 
-    stress: np.ndarray
-    strain: np.ndarray
-    dilatation: np.ndarray
-    energy: np.ndarray
+    stress: ndarray
+    strain: ndarray
+    dilatation: ndarray
+    energy: ndarray
 
 
 def node_fields(model: LPSMaterial, points: PointsLike, u: ArrayLike) -> NodeFields:

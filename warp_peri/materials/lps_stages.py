@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy import ndarray
 from numpy.linalg import pinv, solve
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, eigh
 from scipy.spatial import KDTree
@@ -67,7 +68,7 @@ def table(classes: BondClasses, alpha: torch.Tensor, D: torch.Tensor) -> tuple[t
 
 
 def total_loss(
-    sets: Sequence[Products], weights: Sequence[np.ndarray], values: Sequence[torch.Tensor]
+    sets: Sequence[Products], weights: Sequence[ndarray], values: Sequence[torch.Tensor]
 ) -> torch.Tensor:
     """Loss Σ_s weight_s ‖L u − b‖² over all training sets at λ, μ, α and D, by Warp's operator."""
     terms = []
@@ -139,7 +140,7 @@ def least_of_blocks(blocks: Blocks, weights: torch.Tensor) -> list[torch.Tensor]
     w = weights.detach().numpy()
     gammas, phis = ([np.tensordot(w, block[n], 1) for block in blocks] for n in (0, 1))
 
-    def at(part: np.ndarray, *fields: np.ndarray) -> torch.Tensor:
+    def at(part: ndarray, *fields: ndarray) -> torch.Tensor:
         """Sum Σ w_c of each class's matrix, applied to fields."""
         for each in fields:
             part = part @ each
@@ -167,7 +168,7 @@ def class_matrices(points: Samples, horizon: float) -> Pair:
     return tuple(map(np.array, zip(*parts)))  # type: ignore[return-value]
 
 
-def mirror_blocks(gammas: np.ndarray, phis: np.ndarray, x: np.ndarray) -> Blocks:
+def mirror_blocks(gammas: ndarray, phis: ndarray, x: ndarray) -> Blocks:
     """Γ_c and Φ_c in blocks of fields even or odd under both mirrors of the nodes, and under that
     of x and y, if there are; of two blocks that the last one swaps, one."""
     x, mirrors = x - (x.min(axis=0) + x.max(axis=0)) / 2, []
@@ -184,7 +185,7 @@ def mirror_blocks(gammas: np.ndarray, phis: np.ndarray, x: np.ndarray) -> Blocks
     return blocks or [(gammas, phis)]
 
 
-def _kept(mirrors: Sequence[np.ndarray], parity: str) -> np.ndarray:
+def _kept(mirrors: Sequence[ndarray], parity: str) -> ndarray:
     """Orthonormal fields that each mirror leaves (+) or turns around (−), as columns."""
     kept = one = np.eye(len(mirrors[0]))
     for sign, mirror in zip(parity, mirrors):
@@ -193,7 +194,7 @@ def _kept(mirrors: Sequence[np.ndarray], parity: str) -> np.ndarray:
     return np.array(fields[:, values > 0.5])
 
 
-def _least(matrices: Sequence[np.ndarray]) -> tuple[int, float, np.ndarray]:
+def _least(matrices: Sequence[ndarray]) -> tuple[int, float, ndarray]:
     """Index of the matrix with the smallest eigenvalue, the value and its vector; a Cholesky factor
     of the matrix less the least so far rules others out at a tenth of the work."""
     which, least, vector = 0, np.inf, np.zeros(0)
@@ -250,7 +251,7 @@ def two_stages(learner: Any, kernel: Any, method: TwoStage) -> LPSFound:
 
 
 def in_torch(
-    sets: Sequence[Products], weights: Sequence[np.ndarray], law: LPSLaw
+    sets: Sequence[Products], weights: Sequence[ndarray], law: LPSLaw
 ) -> Callable[[torch.Tensor], torch.Tensor]:
     """Loss by Warp's operator over all training sets, as a function of a law's θ."""
     kernel: Any = law.kernel
@@ -333,7 +334,7 @@ class CollarResponse:
         return LatticeRows(R, y, bonds, lattice_group(2))
 
 
-def _over(name: str, fields: np.ndarray, where: str) -> np.ndarray:
+def _over(name: str, fields: ndarray, where: str) -> ndarray:
     """Weights 1/‖·‖ of each of S fields, over √S, shape [S]; InputError for one that is zero."""
     size = norms(fields)
     if not (size > 0).all():
@@ -341,7 +342,7 @@ def _over(name: str, fields: np.ndarray, where: str) -> np.ndarray:
     return np.asarray(1 / (size * np.sqrt(len(size))))
 
 
-def _projection(x: np.ndarray, k: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _projection(x: ndarray, k: ndarray, b: ndarray) -> ndarray:
     """Projection onto a field's amplitudes, [2, N], in the parity that holds most of the load."""
     (c1, c2), (s1, s2) = np.cos(k * x).T, np.sin(k * x).T
     waves = np.stack([c1 * c2, -s1 * s2, s1 * c2, c1 * s2], axis=1)

@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
+from numpy import ndarray
 from numpy.linalg import lstsq
 from numpy.typing import ArrayLike
 from scipy.optimize import root
@@ -75,19 +76,19 @@ class Smoothing:
     radius: Length = 10.0
     ridge: NotNegative = 0.1
 
-    def transform(self, k: np.ndarray) -> np.ndarray:
+    def transform(self, k: ndarray) -> ndarray:
         """Transform ω̂(|k|) of the cone of unit integral, at wave numbers k [1/Å]."""
         node, weight = np.polynomial.legendre.leggauss(200)
         r = (node + 1) * self.radius / 2
         part = weight * (self.radius - r) * r
         return np.asarray(j0(np.multiply.outer(arguments.checked("k", k), r)) @ part / part.sum())
 
-    def inverse(self, k: np.ndarray) -> np.ndarray:
+    def inverse(self, k: ndarray) -> ndarray:
         """Wiener inverse (1 + ρ) ω̂/(ω̂² + ρ) at wave numbers k [1/Å]."""
         smooth = self.transform(k)
         return (1 + self.ridge) * smooth / (smooth**2 + self.ridge)
 
-    def root(self, k: np.ndarray) -> np.ndarray:
+    def root(self, k: ndarray) -> ndarray:
         """√((1 + ρ) ω̂²/(ω̂² + ρ)), the root of inverse times transform (N23)."""
         square = self.transform(k) ** 2
         return np.sqrt((1 + self.ridge) * square / (square + self.ridge))
@@ -105,7 +106,7 @@ class Smoothing:
         return inward, fitted_weights(classes, self.transform, core)
 
 
-def fitted_weights(classes: BondClasses, factor: ArrayMap, reach: float) -> np.ndarray:
+def fitted_weights(classes: BondClasses, factor: ArrayMap, reach: float) -> ndarray:
     """Fit weights p [1/Å²], Σ n r² p = 1, whose symbol 2 Σ p sin(k·ξ) ξ is near k factor(|k|) over
     the square |k_a| ≤ reach [1/Å]. Errors count as those of the gradient under a unit load, which
     displaces by 1/|k|², wave numbers alike: |k|^(−5/2) has the least residual on held-out loads."""
@@ -141,12 +142,12 @@ def energy_density(
     return t * t * ((lam + mu) / 2 + t3 * t) + (A + B) * (2 * mu + tq2 * t) + q3 * a * (A - 3 * B)
 
 
-def lame_of(C: np.ndarray) -> np.ndarray:
+def lame_of(C: ndarray) -> ndarray:
     """λ and μ of the long waves of elastic tensors [..., 2, 2, 2, 2], shape [..., 2]."""
     return np.stack([C[..., 0, 0, 1, 1], C[..., 0, 1, 0, 1]], axis=-1)
 
 
-def gradient_stencil(points: PointsLike, reach: float, p: np.ndarray) -> Pair:
+def gradient_stencil(points: PointsLike, reach: float, p: ndarray) -> Pair:
     """Steps [B, 2] and weights 2 p ξ [1, B, 2] of the gradient H (N1), in the points' axes."""
     classes, axes = bond_classes(points.spacing, reach), points.lattice.axes
     return classes.steps, 2 * p[classes.bond_class, None] * (classes.xi @ axes.T)[None]
@@ -215,7 +216,7 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
         return lam, mu
 
     @property
-    def numbers(self) -> np.ndarray:
+    def numbers(self) -> ndarray:
         """Constants λ, μ, t3, tq2 and q3 [stress], shape [5]."""
         return np.array([*self.lame, self.t3, self.tq2, self.q3])
 
@@ -326,13 +327,13 @@ class PlacedThirdOrder(Pointwise):
         own = renumbered(self.learnable, numbers)
         return PlacedThirdOrder(replace(self.model, **own, proven={}), self.points)
 
-    def energy(self, u: ArrayLike) -> np.ndarray | None:
+    def energy(self, u: ArrayLike) -> ndarray | None:
         """Energy of the linear part and h² Σ Ψ(H) [stress · length²], shape [...], up to what the
         collar alone has (N1, N24); None for the filtered form."""
         own = super().energy(u)
         return None if own is None else np.asarray(own + self.straight.energy(u))
 
-    def stress(self, u: ArrayLike) -> np.ndarray:
+    def stress(self, u: ArrayLike) -> ndarray:
         """Stress of the linear part plus P of Ψ [stress] at interior nodes, [..., I, 2, 2] (N2)."""
         return np.asarray(self.straight.stress(u) + super().stress(u))
 
@@ -463,13 +464,13 @@ class Learning:
                 f"data: expected enough to tell {self.R.shape[1]} numbers apart; give more loads"
             )
 
-    def at(self, tensor: np.ndarray) -> tuple[Settled, np.ndarray]:
+    def at(self, tensor: ndarray) -> tuple[Settled, ndarray]:
         """Fit the numbers with some moduli held; also those of all columns."""
         lame = lame_of(tensor)  # Ψ has those of the tensors
         found = self.tensors.fitted(self.R[:, :-2], self.y - self.R[:, -2:] @ lame, tensor)
         return found, np.concatenate([found.p[0], lame])
 
-    def found_moduli(self) -> tuple[np.ndarray, float]:
+    def found_moduli(self) -> tuple[ndarray, float]:
         """Moduli that leave no long waves of the loads unexplained (N29), and the residual."""
         allowed, samples = self.tensors.allowed, self.samples
         values, kept, moments = long_wave_rows(samples, allowed, 0)
@@ -482,10 +483,10 @@ class Learning:
         own = long[..., -2:] @ lame_of(allowed).T
         R = np.concatenate([moments * weight + own, long[..., -5:-2]], axis=-1)
 
-        def left(c: np.ndarray) -> np.ndarray:
+        def left(c: ndarray) -> ndarray:
             return np.asarray(right - long @ self.at(np.tensordot(c, allowed, 1))[1])
 
-        def change(c: np.ndarray) -> np.ndarray:
+        def change(c: ndarray) -> ndarray:
             return moduli_of(R, left(c))[0][: len(c)]
 
         guess = long_wave_moduli(samples, allowed)[0]

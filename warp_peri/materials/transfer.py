@@ -6,6 +6,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
+from numpy import ndarray
 from numpy.linalg import eigvalsh, inv, norm, solve
 
 from warp_peri.core import elastic
@@ -37,7 +38,7 @@ def wave_rows(
     target: WaveSymbol,
     spacing: float,
     bonds: Basis,
-    group: np.ndarray,
+    group: ndarray,
     largest_wave: float = LARGEST_WAVE,
 ) -> Pair:
     """Rows R and y that fit p = C h² [stress] to D₀(k): waves up to `largest_wave` = |k| h, very
@@ -59,7 +60,7 @@ def wave_rows(
     return compressed(*waves_against(D, phase, bonds, np.concatenate(each)))
 
 
-def waves_against(target: np.ndarray, phase: np.ndarray, bonds: Basis, share: np.ndarray) -> Pair:
+def waves_against(target: ndarray, phase: ndarray, bonds: Basis, share: ndarray) -> Pair:
     """Rows R and y of ‖D₀⁻¹ D e − e‖ over polarisations e, for D₀ [K, d, d] and k h, weighted."""
     rows = inv(target)[:, None] @ bonds.symbol(phase)
     right = np.broadcast_to(np.eye(bonds.dimension), target.shape) * share[:, None, None]
@@ -67,17 +68,17 @@ def waves_against(target: np.ndarray, phase: np.ndarray, bonds: Basis, share: np
     return rows.reshape(-1, rows.shape[-1]), right.ravel()
 
 
-def wave_errors(answer: np.ndarray, target: np.ndarray) -> np.ndarray:
+def wave_errors(answer: ndarray, target: ndarray) -> ndarray:
     """Relative displacement error ‖D⁻¹ D₀ − I‖₂ at wave vectors, [..., d, d] to [...] (M4)."""
     wrong = solve(answer, target) - np.eye(answer.shape[-1])
     return np.asarray(norm(wrong, ord=2, axis=(-2, -1)))
 
 
-def carried_symbol(symbol: WaveSymbol, spacing: float, turn: np.ndarray) -> WaveSymbol:
+def carried_symbol(symbol: WaveSymbol, spacing: float, turn: ndarray) -> WaveSymbol:
     """Symbol D(k) of a solid turned on its nodes, for k of any other nodes; beyond the zone of
     coarser nodes, where it would repeat, the local limit goes on."""
 
-    def carried(k: np.ndarray) -> np.ndarray:
+    def carried(k: ndarray) -> ndarray:
         size = norm(k, axis=1, keepdims=True)
         part = np.minimum(1.0, LARGEST_WAVE / np.maximum(size * spacing, 1e-300))
         D = symbol(part * k @ turn) / part[:, :, None] ** 2
@@ -187,7 +188,7 @@ def wave_vectors(largest: float) -> Pair:
 
 
 def wave_loss(
-    target: np.ndarray, k: np.ndarray, spacing: float, bonds: Basis, weight: np.ndarray
+    target: ndarray, k: ndarray, spacing: float, bonds: Basis, weight: ndarray
 ) -> LatticeRows:
     """Loss (M3) of a lattice's symbol against D₀(k), [K, 2, 2], at wave vectors k, [K, 2]: half the
     sum of weight · |D₀⁻¹ D e − e|², the squared relative error of displacement to first order."""
@@ -218,7 +219,7 @@ def _fitted(
 
 def _errors(
     there: LPSMaterial, spacing: float, model: LPSMaterial, home: float, largest: float
-) -> np.ndarray:
+) -> ndarray:
     """Largest relative displacement error of waves of |k| up to `largest` (M4), [RADII], in
     directions from an axis to a diagonal, by symmetry all."""
     angle = np.linspace(0, np.pi / 4, DIRECTIONS)

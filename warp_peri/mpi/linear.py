@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy import ndarray
 
 from warp_peri.core.elastic import q1_tensors
 from warp_peri.core.stencil import SCALARS, Grid, complete, refuse_cut
@@ -38,9 +39,9 @@ class Level(VCycle):
         self,
         comm: Comm,
         slabs: Slabs,
-        mask: np.ndarray,
-        steps: np.ndarray,
-        tensors: np.ndarray,
+        mask: ndarray,
+        steps: ndarray,
+        tensors: ndarray,
         below: Pair | None = None,
     ) -> None:
         self._lay(steps, tensors, mask)
@@ -56,14 +57,14 @@ class Level(VCycle):
         whole = np.prod(few.shape) <= WHOLE or few.rows % 2
         return (_Gathered if whole else Level)(self.comm, few, coarser(self.mask), *self._below)
 
-    def around(self, field: np.ndarray) -> np.ndarray:
+    def around(self, field: ndarray) -> ndarray:
         return self._far(field)
 
-    def restrict(self, field: np.ndarray) -> np.ndarray:
+    def restrict(self, field: ndarray) -> ndarray:
         core = (slice(1, self._end), *[slice(1, -1)] * (self.mask.ndim - 1))
         return restrict(self._near(field)[:, *core])
 
-    def prolong(self, field: np.ndarray) -> np.ndarray:
+    def prolong(self, field: ndarray) -> ndarray:
         before = self._few(field)[:, *[slice(None, -1)] * self.mask.ndim]
         wide = prolong(before, tuple(n + 2 for n in self.shape))
         return wide[:, *[slice(2, None)] * self.mask.ndim]
@@ -73,13 +74,13 @@ class _Gathered:
     """Level that every rank computes as a whole, with one exchange."""
 
     def __init__(
-        self, comm: Comm, slabs: Slabs, mask: np.ndarray, steps: np.ndarray, tensors: np.ndarray
+        self, comm: Comm, slabs: Slabs, mask: ndarray, steps: ndarray, tensors: ndarray
     ) -> None:
         self.comm, self.mask, self._own = comm, mask, slabs.own(comm.rank)
         full = np.concatenate(comm.allgather(mask))
         self._cycle = VCycle(steps, tensors, full) if full.any() else None
 
-    def __call__(self, r: np.ndarray) -> np.ndarray:
+    def __call__(self, r: ndarray) -> ndarray:
         whole = np.concatenate(self.comm.allgather(r), axis=1)
         if self._cycle is None:
             return np.zeros_like(r)
@@ -117,7 +118,7 @@ class RowOperator:
         how = piece.slabs, mask, stencil.steps, stencil.tensors, below
         self._level = Level(comm, *how)
 
-    def __call__(self, u: np.ndarray) -> np.ndarray:
+    def __call__(self, u: ndarray) -> ndarray:
         """Force L u at this rank's interior nodes, shape [i, d], of u [n, d]."""
         field = self._grid.scatter(np.asarray(u)[None])[0]
         return np.asarray(self._grid.gather(self._level.product(field)[None])[0])
@@ -128,14 +129,14 @@ class RowOperator:
 
     stress = energy
 
-    def rhs(self, b: np.ndarray) -> np.ndarray:
+    def rhs(self, b: ndarray) -> ndarray:
         """Right-hand side b on this rank's interior."""
         return np.asarray(b, float)[..., self.points.interior, :]
 
-    def inverted(self, right: np.ndarray, tolerance: float) -> tuple[np.ndarray, SolveRecord]:
+    def inverted(self, right: ndarray, tolerance: float) -> tuple[ndarray, SolveRecord]:
         """Solve L u = right on this rank's interior, both [i, d]."""
 
-        def along(a: np.ndarray, b: np.ndarray) -> np.ndarray:  # planes, summed by rows
+        def along(a: ndarray, b: ndarray) -> ndarray:  # planes, summed by rows
             rows = (field.reshape(*field.shape[:2], -1) for field in (a, b))
             return np.ravel(np.einsum("arn,arn->ar", *rows))
 

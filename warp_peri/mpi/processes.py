@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, NoReturn, TypeAlias
 
 import numpy as np
+from numpy import ndarray
 
 from warp_peri import errors
 from warp_peri.errors import InputError, Shape, Values, agreed
@@ -151,7 +152,7 @@ LIMB, LIMBS = 30, 4
 """Bits of a part, of which 2³³ fit into a whole number, and parts: 120 bits below the largest."""
 
 
-def total(comm: Comm, values: np.ndarray) -> np.ndarray:
+def total(comm: Comm, values: ndarray) -> ndarray:
     """Sum values [n, ...] along the first axis over all ranks, shape [...], in any order alike.
     Each value is rounded to multiples of one power of two far below the largest of all ranks."""
     from mpi4py import MPI
@@ -174,15 +175,15 @@ def total(comm: Comm, values: np.ndarray) -> np.ndarray:
     return np.asarray(np.ldexp(np.asarray(exact / (1 << LIMB * LIMBS), float), exponent))
 
 
-def inner(comm: Comm, along: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Inner:
+def inner(comm: Comm, along: Callable[[ndarray, ndarray], ndarray]) -> Inner:
     """Scalar products and largest values over all ranks, for conjugate gradients. `along` gives the
     products of two fields in parts that do not depend on the number of ranks."""
     from mpi4py import MPI
 
-    def dot(a: np.ndarray, b: np.ndarray) -> float:
+    def dot(a: ndarray, b: ndarray) -> float:
         return float(total(comm, along(a, b)))
 
-    def largest(a: np.ndarray) -> float:
+    def largest(a: ndarray) -> float:
         here = max(a.max(initial=0.0), -a.min(initial=0.0))
         return float(comm.allreduce(float(here), op=MPI.MAX))
 
@@ -201,7 +202,7 @@ class Slabs:
 
     shape: Shape
     rows: int
-    starts: np.ndarray
+    starts: ndarray
 
     def own(self, rank: int) -> slice:
         """Rows of a rank."""
@@ -243,7 +244,7 @@ def halo(comm: Comm, slabs: Slabs, w: int) -> ArrayMap:
                     place = slice(*(row - own.start + margin for row in rows))
                     pairs.append((rank, (slice(None), place)))
 
-    def around(field: np.ndarray) -> np.ndarray:
+    def around(field: ndarray) -> ndarray:
         wide = np.pad(field, [(0, 0), (w, w)] + [(0, 0)] * (field.ndim - 2))
         exchange(comm, field, wide, give, take)
         return np.pad(wide, [(0, 0)] * 2 + [(w, w)] * (field.ndim - 2))
@@ -251,7 +252,7 @@ def halo(comm: Comm, slabs: Slabs, w: int) -> ArrayMap:
     return around
 
 
-def exchange(comm: Comm, field: np.ndarray, wide: np.ndarray, give: Any, take: Any) -> None:
+def exchange(comm: Comm, field: ndarray, wide: ndarray, give: Any, take: Any) -> None:
     """Send parts of a field to others, and receive theirs, as pairs (rank, place)."""
     from mpi4py import MPI
 

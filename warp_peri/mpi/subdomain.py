@@ -12,6 +12,7 @@ from math import prod
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from warp_peri.errors import InputError, InSpace, Shape, agreed, hold
 from warp_peri.files.checkpoint import nodal_fingerprint, same
@@ -75,12 +76,12 @@ class Subdomain(InSpace):
     """
 
     comm: Comm
-    x: np.ndarray
-    interior: np.ndarray
+    x: ndarray
+    interior: ndarray
     spacing: float
-    number: np.ndarray
+    number: ndarray
     count: int
-    grid: np.ndarray
+    grid: ndarray
     slabs: Slabs
     units: Units = USUAL
     axis: Any = None
@@ -93,7 +94,7 @@ class Subdomain(InSpace):
         hold(self, which=next(NUMBERS))
         return self
 
-    def sum(self, values: np.ndarray) -> np.ndarray:
+    def sum(self, values: ndarray) -> ndarray:
         """Sum values [k, ...] over all ranks, shape [...], with the same bits on any number."""
         return total(self.comm, values)
 
@@ -156,7 +157,7 @@ class Subdomain(InSpace):
         """Scalar products and norms of fields [k, d] on nodes, over all ranks."""
         return inner(self.comm, lambda a, b: (a * b).sum(axis=1))
 
-    def gather(self, values: np.ndarray) -> np.ndarray:
+    def gather(self, values: ndarray) -> ndarray:
         """Gather values [n, ...] of all pieces on every rank, in the order of the whole body;
         InputError on all for a field that is none, or of another kind on some."""
         with agreed(self.comm):
@@ -203,11 +204,11 @@ class NodeHalo:
         self._give = [(r, self.own[nodes]) for r, nodes in enumerate(given) if len(nodes)]
         self._take = [(r, nodes) for r, nodes in enumerate(places[1:]) if len(nodes)]
 
-    def exchange(self, field: np.ndarray) -> None:
+    def exchange(self, field: ndarray) -> None:
         """Fill others' nodes in a field [m or more, ...] from their owners."""
         exchange(self.comm, field, field, self._give, self._take)
 
-    def around(self, values: np.ndarray) -> np.ndarray:
+    def around(self, values: ndarray) -> ndarray:
         """Extend values [n, ...] of the piece's own nodes to all nodes here, [m, ...]."""
         values = np.asarray(values)
         here = np.zeros((len(self.number), *values.shape[1:]), values.dtype)
@@ -288,7 +289,7 @@ def partition(points: PointsLike) -> Any:
     return Subdomain(comm, *nodes, slabs, points.units, points.axis).numbered()
 
 
-def gather(points: Any, values: np.ndarray) -> np.ndarray:
+def gather(points: Any, values: ndarray) -> ndarray:
     """Gather values of a piece's nodes on every rank; those of all nodes of Points are as they are.
     InputError as Subdomain.gather."""
     if is_piece(points):
@@ -296,7 +297,7 @@ def gather(points: Any, values: np.ndarray) -> np.ndarray:
     return _nodal(nodes_of(points), values)
 
 
-def _nodal(nodes: Any, given: Any) -> np.ndarray:
+def _nodal(nodes: Any, given: Any) -> ndarray:
     """Check values [n, ...] of the nodes, of numbers or truth values."""
     values = plain("values", given, None, "biufc")
     if values.shape[:1] != nodes.x.shape[:1]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 import torch
+from numpy import ndarray
 from numpy.linalg import lstsq, norm
 from numpy.typing import ArrayLike
 from tqdm import tqdm
@@ -173,24 +174,24 @@ class Placed(OperatorBase):
         return on_fields(self, u, lambda f: self.force_of(*self.tension(f.to(self.dtype))))
 
     @torch.no_grad()
-    def force(self, u: Any) -> np.ndarray:
+    def force(self, u: Any) -> ndarray:
         """Forces on the interior, shape [..., I, 2], (NO6)."""
         return in_shape_of(u, self.force_of(*self.tension(self._taken(u))).double().numpy())
 
-    def jvp(self, u: Any, v: Any) -> np.ndarray:
+    def jvp(self, u: Any, v: Any) -> ndarray:
         """Derivative of the force at u along v, both [N, 2] or [S, N, 2]."""
         fields, along = self._taken(u), self._taken(v)
         check_shape("v, along u", along, fields.shape)
         found = [self.tangent(field) @ one.ravel() for field, one in zip(fields, along.numpy())]
         return np.reshape(found, (*np.shape(v)[:-2], -1, 2))
 
-    def vjp(self, u: Any, w: Any) -> np.ndarray:
+    def vjp(self, u: Any, w: Any) -> ndarray:
         """Transposed derivative of the force at u times w [..., I, 2], on all nodes [..., N, 2]."""
         pairs = zip(*self.pairs(u, w))
         found = [self.tangent(field).T @ one.ravel() for field, one in pairs]
         return np.reshape(found, np.shape(u))
 
-    def interior_tangent(self, u: np.ndarray) -> sp.csc_array:
+    def interior_tangent(self, u: ndarray) -> sp.csc_array:
         """Derivative of the force at a field, between interior nodes, sparse [2 I, 2 I]."""
         return sp.csc_array(self.tangent(u)[:, np.repeat(self.points.interior, 2)])
 
@@ -225,7 +226,7 @@ class Placed(OperatorBase):
         return sp.csr_array(-(self.points.spacing**2) * J)
 
     @torch.no_grad()
-    def stress(self, u: Any) -> np.ndarray:
+    def stress(self, u: Any) -> ndarray:
         """First Piola–Kirchhoff stress at interior nodes, [..., I, 2, 2], ½ Σ t M ⊗ ξ (NO13)."""
         pull = self._pull(*self.tension(self._taken(u)))
         stress = torch.einsum("sibx,by->sixy", pull, torch.as_tensor(self.xi, dtype=pull.dtype))
@@ -278,20 +279,20 @@ class Placed(OperatorBase):
         return torch.as_tensor(fields, dtype=self.dtype)
 
 
-def _differences(blocks: np.ndarray, ends: np.ndarray, own: np.ndarray, count: int) -> sp.bsr_array:
+def _differences(blocks: ndarray, ends: ndarray, own: ndarray, count: int) -> sp.bsr_array:
     """Matrix of Σ over bonds of blocks [n, B, k, 2] times v_end − v_own, sparse [k n, 2 count]."""
     blocks = np.concatenate([blocks, -blocks.sum(axis=1, keepdims=True)], axis=1)
     return _blocks(blocks, np.column_stack([ends, own]), count)
 
 
-def _blocks(values: np.ndarray, columns: np.ndarray, count: int) -> sp.bsr_array:
+def _blocks(values: ndarray, columns: ndarray, count: int) -> sp.bsr_array:
     """Sparse matrix [k n, c count] of blocks [n, m, k, c] in the columns [n, m]."""
     (n, m), (*_, k, c) = columns.shape, values.shape
     blocks = values.reshape(-1, k, c), columns.ravel(), m * np.arange(n + 1)
     return sp.bsr_array(blocks, shape=(k * n, c * count))
 
 
-def affine(samples: Samples, u: np.ndarray) -> np.ndarray:
+def affine(samples: Samples, u: ndarray) -> ndarray:
     """Replace the interior of a field by the affine motion that fits its collar best, [N, 2]."""
     places, collar = np.column_stack([samples.x, np.ones(len(u))]), ~samples.interior
     motion, *_ = lstsq(places[collar], u[collar])

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import torch
+from numpy import ndarray
 from numpy.linalg import norm
 from scipy.sparse.linalg import SuperLU, splu
 from tqdm import tqdm
@@ -94,10 +95,10 @@ class Frames:
         self.renew()
         self.state = state.numpy().copy()
 
-    def _found(self, n: int) -> tuple[np.ndarray, NonlinearRecord]:
+    def _found(self, n: int) -> tuple[ndarray, NonlinearRecord]:
         return self.search.solve_from(0 * self.seen[n], self.start[n], SOLVED)
 
-    def _error(self, n: int, u: np.ndarray) -> float:
+    def _error(self, n: int, u: ndarray) -> float:
         return float(norm(u[self.inside] - self.seen[n]) / self.sizes[n])
 
 

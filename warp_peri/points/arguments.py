@@ -14,6 +14,7 @@ from types import FunctionType, NoneType, SimpleNamespace, UnionType
 from typing import Annotated, Any, Literal, TypeAlias, TypeVar, Union, get_args, get_origin
 
 import numpy as np
+from numpy import ndarray
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError, Shape, Values
@@ -38,7 +39,7 @@ def as_array(name: str, value: Any) -> np.ma.MaskedArray[Any, Any]:
         raise InputError(f"{name}: expected an array ({error})") from None
 
 
-def plain(name: str, value: Any, kind: Any = float, kinds: str = "fiu") -> np.ndarray:
+def plain(name: str, value: Any, kind: Any = float, kinds: str = "fiu") -> ndarray:
     """Make a float64 array, or one of `kind`, whose values may be anything; InputError for a tensor
     whose gradient would be lost, masked entries, and what is not of `kinds` of numbers."""
     found = as_array(name, value)  # that of a list of masked arrays too
@@ -53,8 +54,8 @@ def checked(
     value: Any,
     kind: type = float,
     shape: tuple[Any, ...] | None = None,
-    read: np.ndarray | bool = True,
-) -> np.ndarray:
+    read: ndarray | bool = True,
+) -> ndarray:
     """Check a user's value; returns an array of float64, bool, or whole numbers, nothing missing.
 
     Args:
@@ -197,7 +198,7 @@ def check_parameters(function: Callable[..., Any], values: Numbers) -> None:
         raise InputError(f"parameters: expected those of the function ({error})") from None
 
 
-def listed(nodes: np.ndarray) -> str:
+def listed(nodes: ndarray) -> str:
     """Text of the first few node numbers."""
     return ", ".join(str(i) for i in nodes[:8]) + (" …" if len(nodes) > 8 else "")
 
@@ -211,7 +212,7 @@ SAMPLES = 32
 """Places along a bond at which a field is read."""
 
 
-def mean_inverse(values: Callable[[float], np.ndarray]) -> np.ndarray:
+def mean_inverse(values: Callable[[float], ndarray]) -> ndarray:
     """Mean along bonds of 1/field, from its `values` at a share of each bond's length."""
     places = (np.arange(SAMPLES) + 0.5) / SAMPLES
     return np.asarray(sum(1 / values(float(place)) for place in places) / SAMPLES)
@@ -224,7 +225,7 @@ Numbers: TypeAlias = Mapping[str, Any]
 ARRAY = get_args(ArrayLike)
 LISTS = {Sequence, tuple, list}
 KINDS = (bool, int, float, str, os.PathLike, Mapping, dict, Sequence, tuple, list, NoneType,
-         np.ndarray, Callable)  # fmt: skip
+         ndarray, Callable)  # fmt: skip
 NAMES = {str: "a text", Callable: "a function"}
 _signature = cache(inspect.signature)
 """Of a function, worked out at its first call: most are never called."""
@@ -292,7 +293,7 @@ def check_arguments(call: Callable[..., Any], given: Options) -> Options:
             continue
         if isinstance(value, np.matrix):  # whose rows are matrices
             value = found[name] = np.asarray(value)
-        elif hasattr(value, "__array__") and LISTS & {*kinds} and not isinstance(value, np.ndarray):
+        elif hasattr(value, "__array__") and LISTS & {*kinds} and not isinstance(value, ndarray):
             value = found[name] = as_array(name, value).tolist()  # of a table's column, a tensor
         first, *more = [kind for kind in kinds if kind is not NoneType]
         if os.PathLike in kinds and isinstance(value, str) and (not value or "\0" in value):
@@ -310,12 +311,12 @@ def check_arguments(call: Callable[..., Any], given: Options) -> Options:
             fine = fine and (first is float or (value % 1 == 0 and abs(value) <= MOST))
             words = "a whole number" if first is int else "a finite number"
             words += " or a text" * (str in more)
-        elif first is np.ndarray:
+        elif first is ndarray:
             fine, words = no is not Callable and are_numbers(value), "float values"
         elif first in (Mapping, dict):
             fine, words = isinstance(value, Mapping), "values by name"
         elif first in LISTS:
-            fine = not isinstance(value, str) and isinstance(value, (Sequence, np.ndarray))
+            fine = not isinstance(value, str) and isinstance(value, (Sequence, ndarray))
             fine = fine and getattr(value, "ndim", 1) > 0
             words = "a sequence"
         else:
@@ -329,7 +330,7 @@ def check_arguments(call: Callable[..., Any], given: Options) -> Options:
         if not fine or (bound and not same and not bound.holds(value)):
             expected, short = bound.words if bound else words, first in KINDS and first not in NAMES
             got = f"{value!r:.60}" if short or bound else type(value).__name__
-            got = str(getattr(value, "dtype", got)) if first is np.ndarray else got
+            got = str(getattr(value, "dtype", got)) if first is ndarray else got
             raise InputError(f"{name}: expected {expected}, got {got}")
     return found
 
@@ -348,7 +349,7 @@ def kinds_of(call: Callable[..., Any]) -> dict[str, tuple[tuple[Any, ...], Any, 
             continue
         hints = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
         if {*ARRAY} <= {*hints}:
-            hints = np.ndarray, *(one for one in hints if one not in ARRAY)
+            hints = ndarray, *(one for one in hints if one not in ARRAY)
         kinds = tuple(sorted(map(_kind, hints), key=lambda one: one is str and float in hints))
         if Units not in hints and all(kind in KINDS or _is_own(kind) for kind in kinds):
             found[name] = kinds, parameter.default, next(filter(None, map(_bound, hints)), None)
@@ -430,9 +431,9 @@ def picked(options: Options, *names: str) -> Options:
 
 Options: TypeAlias = Values
 """Options of a call, by name."""
-Pair: TypeAlias = tuple[np.ndarray, np.ndarray]
+Pair: TypeAlias = tuple[ndarray, ndarray]
 """Two arrays, which a docstring tells apart."""
-ArrayMap: TypeAlias = Callable[[np.ndarray], np.ndarray]
+ArrayMap: TypeAlias = Callable[[ndarray], ndarray]
 """Arrays made of arrays."""
 LENGTHS = {"angstrom": 1.0, "nm": 10.0, "um": 1e4, "mm": 1e7, "m": 1e10}
 """Units of length [Å]."""
@@ -496,7 +497,7 @@ def shown_moduli(units: Units, values: Iterable[float]) -> str:
     return ", ".join(f"{factor * value:.4g}" for value in values) + f" {shown}"
 
 
-def usual_lengths(name: str, usual: Any, units: Units) -> np.ndarray:
+def usual_lengths(name: str, usual: Any, units: Units) -> ndarray:
     """Usual lengths [Å] in other units; InputError for a unit that is nobody's."""
     if units[0] not in LENGTHS:
         raise InputError(f"{name}: expected one in {units[0]}, the data's unit; got none")

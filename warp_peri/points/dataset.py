@@ -11,6 +11,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+from numpy import ndarray
 from numpy.linalg import norm
 from scipy.spatial import cKDTree
 
@@ -178,8 +179,8 @@ def largest_wave_number(points: Samples) -> float | None:
 
 @typed
 def mixed_waves(
-    x: np.ndarray, box: tuple[float, ...] | np.ndarray, shortest: Positive, *, seed: Natural = 0
-) -> np.ndarray:
+    x: ndarray, box: tuple[float, ...] | ndarray, shortest: Positive, *, seed: Natural = 0
+) -> ndarray:
     """Make a field of mixed waves Σ |k| e cos(k·x + φ) over |k| ≤ 2π/shortest (theory, Q11).
 
     Args:
@@ -214,7 +215,7 @@ def mixed_waves(
 @typed
 def design_loads(
     points: Points | Samples, shortest_wave: Positive, *, number: Count = 2
-) -> np.ndarray:
+) -> ndarray:
     """Make loads that a material is learned from in place of many single waves.
 
     One does for a fit whose moduli are held, two for one that finds them. Give each to the atoms
@@ -245,7 +246,7 @@ def _written(provenance: Any) -> Any:
     return called("provenance: expected plain JSON values", text)
 
 
-def seen_of(samples: Samples) -> np.ndarray:
+def seen_of(samples: Samples) -> ndarray:
     """Whether each node's displacement was measured, [S, N]: all where nothing says otherwise."""
     shape = samples.u.shape[:2]
     return checked(SEEN, samples.arrays.get(SEEN, np.ones(shape, bool)), bool, shape)

@@ -11,6 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 import warp as wp
+from numpy import ndarray
 from numpy.linalg import norm, svd
 from numpy.typing import ArrayLike
 from scipy.ndimage import distance_transform_edt
@@ -60,21 +61,21 @@ class BondClasses(Held):
 
     spacing: float
     horizon: float
-    steps: np.ndarray
-    bond_class: np.ndarray
-    r: np.ndarray
-    weight: np.ndarray
+    steps: ndarray
+    bond_class: ndarray
+    r: ndarray
+    weight: ndarray
 
     def __post_init__(self) -> None:
         hold(self, **vars(self))  # all that ask for them share them
 
     @property
-    def xi(self) -> np.ndarray:
+    def xi(self) -> ndarray:
         """Bond vectors ξ [Å] along the lattice's own axes, shape [B, d]."""
         return self.spacing * self.steps
 
     @property
-    def count(self) -> np.ndarray:
+    def count(self) -> ndarray:
         """Number of bonds of a family in each class, shape [C]."""
         return np.bincount(self.bond_class)
 
@@ -100,15 +101,15 @@ class Families:
         lattice: bond classes of the lattice; None for scattered points.
     """
 
-    row: np.ndarray
-    neighbour: np.ndarray
-    reverse: np.ndarray
-    r: np.ndarray
-    weight: np.ndarray
-    rows: np.ndarray
-    whole: np.ndarray
-    cut: np.ndarray
-    pattern: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    row: ndarray
+    neighbour: ndarray
+    reverse: ndarray
+    r: ndarray
+    weight: ndarray
+    rows: ndarray
+    whole: ndarray
+    cut: ndarray
+    pattern: ndarray = field(default_factory=lambda: np.empty((0, 2)))
     lattice: BondClasses | None = None
 
     @property
@@ -210,19 +211,19 @@ def families_of(
     return Families(row, neighbour, reverse, *tables)
 
 
-def nodes_in_period(points: PointsLike, least: int) -> np.ndarray:
+def nodes_in_period(points: PointsLike, least: int) -> ndarray:
     """Number of nodes in a period along each axis, [d]; InputError for a turned lattice, and for
     periods that are no whole multiples of the spacing, above `least` of it."""
     h, box = points.spacing, np.array(points.box)
     if not np.array_equal(points.lattice.axes, np.eye(points.dimension)):
         raise InputError("box: expected a lattice along the axes, got a rotated one")
-    size: np.ndarray = np.rint(box / h).astype(np.int32)
+    size: ndarray = np.rint(box / h).astype(np.int32)
     if (np.abs(size * h - box) > LATTICE_TOLERANCE * box).any() or size.min() <= least:
         raise InputError(f"box: expected whole multiples of {h}, above {least} of it, got {box}")
     return size
 
 
-def _any_neighbour(row: np.ndarray, neighbour: np.ndarray, flag: np.ndarray) -> np.ndarray:
+def _any_neighbour(row: ndarray, neighbour: ndarray, flag: ndarray) -> ndarray:
     """Nodes with an unbroken bond to a flagged node."""
     reached = zeros(len(flag), dtype=wp.int32)
     given = ints(row), ints(neighbour), ints(flag), reached
@@ -230,7 +231,7 @@ def _any_neighbour(row: np.ndarray, neighbour: np.ndarray, flag: np.ndarray) -> 
     return np.asarray(reached.numpy() > 0)
 
 
-def _lacking_collar(points: PointsLike, horizon: float, short: np.ndarray, bond_based: bool) -> str:
+def _lacking_collar(points: PointsLike, horizon: float, short: ndarray, bond_based: bool) -> str:
     """What is said of interior nodes that are short of a collar, with a horizon that fits."""
     length, fits = symbols(points.units)[0], ""
     if points.spacing > 0 and not bond_based:
@@ -259,9 +260,7 @@ def carried_horizon(points: PointsLike) -> float:
     return float(clear.min()) * points.spacing / 2 * (1 - 2 * HORIZON_TOLERANCE)
 
 
-def neighbour_table(
-    grid: np.ndarray, steps: np.ndarray, size: np.ndarray | None = None
-) -> np.ndarray:
+def neighbour_table(grid: ndarray, steps: ndarray, size: ndarray | None = None) -> ndarray:
     """The node at each of steps [B, d] from nodes at lattice steps [N, d], −1 where there is none:
     [N, B] int32. `size` are periods in lattice steps, more than twice the longest step. Raises
     InputError for nodes given twice."""
@@ -285,8 +284,8 @@ def neighbour_table(
 
 
 def neighbours(
-    x: np.ndarray, reach: float, box: tuple[float, ...] | None = None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    x: ndarray, reach: float, box: tuple[float, ...] | None = None
+) -> tuple[ndarray, ndarray, ndarray, ndarray]:
     """Find the points within reach [Å] of each point, itself excluded; periods exceed twice that.
     Returns row [N + 1], neighbour [E], distance [Å] [E], and the bond back of each bond [E]; those
     of point i are row[i] … row[i + 1]. InputError for a small box, lone points, too many bonds."""
@@ -315,7 +314,7 @@ def neighbours(
     return row, end, norm(nearest(x[end] - x[start], box), axis=1), reverse
 
 
-def cut_balls(x: np.ndarray, horizon: float, bonds: int) -> np.ndarray:
+def cut_balls(x: ndarray, horizon: float, bonds: int) -> ndarray:
     """Whether each node's ball leaves the convex hull of the points by more than a lattice spacing
     of their density, [N]; holes and bays cannot be told from coarser clouds, and pass."""
     try:
@@ -351,14 +350,14 @@ def largest_strain(points: PointsLike, u: ArrayLike) -> float:
     return max((float(one.max(initial=0)) for one in along), default=0.0)
 
 
-def edge_strain(x: np.ndarray, triangles: np.ndarray, u: np.ndarray) -> float:
+def edge_strain(x: ndarray, triangles: ndarray, u: ndarray) -> float:
     """Largest strain of edges of triangles [T, 3] of corners x [P, 2], as largest_strain."""
     after = np.roll(triangles, -1, axis=1)
     xi, relative = x[after] - x[triangles], u[after] - u[triangles]
     return float(np.abs((xi * relative).sum(axis=-1) / (xi**2).sum(axis=-1)).max(initial=0.0))
 
 
-def quadrature_weights(xi: ArrayLike, horizon: float, *, degree: int = DEGREE) -> np.ndarray:
+def quadrature_weights(xi: ArrayLike, horizon: float, *, degree: int = DEGREE) -> ndarray:
     """Minimum-norm weights W of a family with Σ_j W_j q(ξ_j) = ∫ q over the ball, [Å^d], [B].
 
     q = p / r³ with monomials p of 4 − d ≤ degree of p ≤ degree: those whose quotient is integrable
@@ -381,9 +380,7 @@ def quadrature_weights(xi: ArrayLike, horizon: float, *, degree: int = DEGREE) -
     return weights
 
 
-def family_weights(
-    xi: np.ndarray, horizon: float, *, degree: int = DEGREE
-) -> tuple[np.ndarray, float]:
+def family_weights(xi: ndarray, horizon: float, *, degree: int = DEGREE) -> tuple[ndarray, float]:
     """Weights as of `quadrature_weights`, by the SVD, and the largest relative residual."""
     powers, exact = conditions(degree, xi.shape[1])
     scaled = xi / horizon
@@ -396,7 +393,7 @@ def family_weights(
     return weights * horizon ** xi.shape[1], float(residual)
 
 
-def conditions(degree: int, dimension: int) -> tuple[list[tuple[int, ...]], np.ndarray]:
+def conditions(degree: int, dimension: int) -> tuple[list[tuple[int, ...]], ndarray]:
     """Exponents of the Q polynomials in d variables, and their integrals over the unit ball, [Q];
     InputError for a degree that is no whole number ≥ 2."""
     degree = check_whole("quadrature degree", degree, SINGULARITY - 1)
@@ -422,14 +419,14 @@ FAMILY = 50
 
 
 def weights(
-    x: np.ndarray,
-    nodes: np.ndarray,
-    row: np.ndarray,
-    neighbour: np.ndarray,
+    x: ndarray,
+    nodes: ndarray,
+    row: ndarray,
+    neighbour: ndarray,
     box: tuple[float, ...] | None,
     horizon: float,
     degree: int,
-) -> np.ndarray:
+) -> ndarray:
     """Quadrature weights of the families of `nodes` [Å^d], zero on all other bonds, shape [E];
     InputError naming the nodes whose family is too poor."""
     d = x.shape[1]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 from numpy.linalg import det, inv, norm
 from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
@@ -70,12 +71,12 @@ class Mesh(InSpace, Shown):
     >>> mesh = wp.Mesh(x, np.array([[0, 1, 2]]), ends, x[ends].mean(axis=1))
     """
 
-    x: np.ndarray
-    cells: np.ndarray
-    faces: np.ndarray
-    middle: np.ndarray
-    parts: dict[str, np.ndarray] = field(default_factory=dict)
-    curved: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), int))
+    x: ndarray
+    cells: ndarray
+    faces: ndarray
+    middle: ndarray
+    parts: dict[str, ndarray] = field(default_factory=dict)
+    curved: ndarray = field(default_factory=lambda: np.zeros((0, 2), int))
 
     def __post_init__(self) -> None:
         hold(self, x=checked_positions(self.x))
@@ -108,7 +109,7 @@ class Mesh(InSpace, Shown):
         return [*((n, str(count)) for n, count in found.items()), ("box", box), ("parts", parts)]
 
     @property
-    def hole_sizes(self) -> np.ndarray:
+    def hole_sizes(self) -> ndarray:
         """Smallest side of the box around each hole or cavity [length], shape [holes]."""
         pairs = np.concatenate([self.faces[:, [a, a - 1]] for a in range(self.dimension)])
         label = _joined(len(self.x), pairs)
@@ -118,7 +119,7 @@ class Mesh(InSpace, Shown):
         of, x = np.append(of, label[self.curved[:, 0]]), np.concatenate([x, self.middle])
         return np.array([np.ptp(x[of == n], axis=0).min() for n in holes])
 
-    def distance(self, x: np.ndarray, step: Positive) -> np.ndarray:
+    def distance(self, x: ndarray, step: Positive) -> ndarray:
         """Distance [length] of points to the outline, by points of it about `step` apart."""
         d, corners = self.dimension, self.x[self.faces]
         longest = norm(corners - np.roll(corners, 1, axis=1), axis=2).max()
@@ -132,7 +133,7 @@ class Mesh(InSpace, Shown):
             at = at + 4 * weight.prod(axis=1)[:, None] * bulge[:, None]
         return np.asarray(cKDTree(at.reshape(-1, d)).query(checked("x", x, float, ("n", d)))[0])
 
-    def holding(self, x: np.ndarray) -> np.ndarray:
+    def holding(self, x: ndarray) -> ndarray:
         """Number of the straight-sided cell that holds each point, −1 where none does."""
         return cells_holding(self.x[self.cells], checked("x", x, float, ("n", self.dimension)))
 
@@ -193,7 +194,7 @@ def make_mesh(
     return Mesh(x, t, faces, halves, _named(faces, kept, whole, inner), ends)
 
 
-def _outline(x: np.ndarray, t: np.ndarray) -> np.ndarray:
+def _outline(x: ndarray, t: ndarray) -> ndarray:
     """Outline edges, or surface faces, of cells t, the body on their left; InputError for cells
     that overlap, or do not share whole facets."""
     d = x.shape[1]
@@ -218,7 +219,7 @@ def _outline(x: np.ndarray, t: np.ndarray) -> np.ndarray:
 
 def checked_numbers(
     name: str, value: Any, shape: tuple[Any, ...], count: int, what: str = "corners", least: int = 0
-) -> np.ndarray:
+) -> ndarray:
     """Check whole numbers, of a shape as for `checked` and `least` rows; InputError for others, and
     unless all are 0 to `count` − 1."""
     found = checked(name, value, int, shape)
@@ -231,7 +232,7 @@ def checked_numbers(
     return found
 
 
-def facets_of(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def facets_of(t: ndarray) -> tuple[ndarray, ndarray, ndarray, ndarray]:
     """Facets of all cells, the distinct ones by rising corners, indices into these, and counts."""
     every = np.concatenate([t[:, corners] for corners in FACETS[t.shape[1] - 1]])
     keys, back, count = np.unique(
@@ -240,13 +241,13 @@ def facets_of(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nda
     return every, keys, back.ravel(), count
 
 
-def _joined(count: int, pairs: np.ndarray) -> np.ndarray:
+def _joined(count: int, pairs: ndarray) -> ndarray:
     """Group number of each of `count` things joined by pairs [n, 2]."""
     links = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(count, count))
     return np.asarray(connected_components(links, directed=False)[1])
 
 
-def _welded(x: np.ndarray, near: float) -> np.ndarray:
+def _welded(x: ndarray, near: float) -> ndarray:
     """First corner at each corner's place, shape [P]; warns where some coincide."""
     label = _joined(len(x), cKDTree(x).query_pairs(near, output_type="ndarray"))
     first = np.unique(label, return_index=True)[1]
@@ -258,7 +259,7 @@ def _welded(x: np.ndarray, near: float) -> np.ndarray:
     return np.asarray(first[label])
 
 
-def _refuse_covered(x: np.ndarray, t: np.ndarray, facets: np.ndarray, across: np.ndarray) -> None:
+def _refuse_covered(x: ndarray, t: ndarray, facets: ndarray, across: ndarray) -> None:
     """Raise InputError where a cell lies just beyond the outline or a corner of it: cells overlap,
     or a corner lies amid an edge or face of another."""
     d = x.shape[1]
@@ -279,7 +280,7 @@ def _refuse_covered(x: np.ndarray, t: np.ndarray, facets: np.ndarray, across: np
         )
 
 
-def _named(facets: np.ndarray, parts: Arrays, whole: str, inner: bool) -> Arrays:
+def _named(facets: ndarray, parts: Arrays, whole: str, inner: bool) -> Arrays:
     """Facets by name, each once; InputError, or a warning, for parts that hold others."""
     number = {tuple(facet): n for n, facet in enumerate(np.sort(facets, axis=1).tolist())}
     named, left = {}, np.ones(len(facets), bool)
@@ -300,7 +301,7 @@ def _named(facets: np.ndarray, parts: Arrays, whole: str, inner: bool) -> Arrays
     return named
 
 
-def cells_holding(corners: np.ndarray, x: np.ndarray, depth: float = -WITHIN) -> np.ndarray:
+def cells_holding(corners: ndarray, x: ndarray, depth: float = -WITHIN) -> ndarray:
     """Number of a cell, of corners [T, d + 1, d], that holds each position [n, d], or −1; `depth`
     is in the cell's own coordinates, which are 0 to 1 across."""
     inverse = inv((corners[:, 1:] - corners[:, :1]).mT)
@@ -317,7 +318,7 @@ def cells_holding(corners: np.ndarray, x: np.ndarray, depth: float = -WITHIN) ->
     return found
 
 
-def pieces(cells: np.ndarray) -> np.ndarray:
+def pieces(cells: ndarray) -> ndarray:
     """Piece number of each cell; cells of a piece are connected by facets."""
     count, (_, keys, facet, _) = len(cells), facets_of(cells)
     pairs = np.stack([np.tile(np.arange(count), cells.shape[1]), count + facet], axis=1)

@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 
 import h5py
 import numpy as np
+from numpy import ndarray
 from numpy.linalg import det
 
 from warp_peri.errors import Arrays, InputError, StrPath, warn
@@ -98,7 +99,7 @@ def _body_of(read: Any) -> Mesh:
         )
     if d == 2 and points.shape[1] == 3 and np.ptp(points[:, 2]) > 1e-9 * np.ptp(points, 0).max():
         raise InputError(f"expected a plane mesh, z varies by {np.ptp(points[:, 2]):g}")
-    x, every, middle = points[:, :d], [], dict[tuple[int, int], np.ndarray]()
+    x, every, middle = points[:, :d], [], dict[tuple[int, int], ndarray]()
     for block in read.cells:
         if block.dim != d:
             continue
@@ -114,7 +115,7 @@ def _body_of(read: Any) -> Mesh:
     return make_mesh(x, cells, _groups(read, cells), middle, inner=True)
 
 
-def _halves(x: np.ndarray, quads: np.ndarray) -> np.ndarray:
+def _halves(x: ndarray, quads: ndarray) -> ndarray:
     """Cut quadrilaterals [T, 4] in two triangles, [n, 3], at a reentrant corner if there is one;
     those with a repeated corner are one triangle."""
     cuts = quads[:, [[[0, 1, 2], [0, 2, 3]], [[1, 2, 3], [1, 3, 0]]]]
@@ -126,11 +127,11 @@ def _halves(x: np.ndarray, quads: np.ndarray) -> np.ndarray:
     return every[(np.diff(np.sort(every)) > 0).all(axis=1)]
 
 
-def _groups(read: Any, body: np.ndarray) -> Arrays:
+def _groups(read: Any, body: ndarray) -> Arrays:
     """Lines or triangles of a meshio mesh by the names or numbers of its sets and groups; of a set
     of nodes the outline's sides with all corners in it."""
     dim = body.shape[1] - 2
-    sets: dict[str, list[np.ndarray]] = {}
+    sets: dict[str, list[ndarray]] = {}
     names = {int(v[0]): [name] for name, v in read.field_data.items() if v[1] == dim}
     lines = [(n, np.asarray(block.data)) for n, block in enumerate(read.cells) if block.dim == dim]
     for number, data in lines:
@@ -214,7 +215,7 @@ def read_abaqus(text: str) -> SimpleNamespace:
     of keywords beside the shape; InputError for all others that are not read, and options:
     instances moved or repeated, coordinate systems, nodes and elements made of others, surfaces."""
     nodes, elements = dict[int, list[float]](), set[int]()
-    blocks: list[tuple[int, str, np.ndarray]] = []
+    blocks: list[tuple[int, str, ndarray]] = []
     sets: dict[str, dict[str, set[int]]] = {"NSET": {}, "ELSET": {}}
     passed, once, first = list[str](), set[str](), dict[str, str]()
     for name, options, rows in keywords(text):
@@ -271,7 +272,7 @@ def read_abaqus(text: str) -> SimpleNamespace:
     )
 
 
-def _elements(told: str, rows: list[list[str]]) -> tuple[int, str, np.ndarray]:
+def _elements(told: str, rows: list[list[str]]) -> tuple[int, str, ndarray]:
     """Dimension and kind of cells, and their numbers with their corners', [T, 1 + n]."""
     found = re.fullmatch(r"(CPS|CPE|S|M3D|C3D|T2D|T3D|B2|B3)(\d+)(?:[A-Z]+\d*)?", told.upper())
     d, kinds = ELEMENTS[found[1]] if found else (0, {})

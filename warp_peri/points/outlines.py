@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 from numpy.linalg import norm
 
 from warp_peri.errors import InputError, hold, optional
@@ -86,7 +87,7 @@ class Polygon:
         return float((here[:, 0] * there[:, 1] - here[:, 1] * there[:, 0]).sum() / 2)
 
 
-def _meeting(x: np.ndarray) -> np.ndarray:
+def _meeting(x: ndarray) -> ndarray:
     """The first two sides of a polygon, not one after the other, that meet, or nothing."""
     ends = np.stack([x, np.roll(x, -1, axis=0)])
     along = ends[1] - ends[0]
@@ -152,7 +153,7 @@ def mesh_outline(outer: Outline, holes: Sequence[Outline] = (), *, size: Positiv
     return make_mesh(x, cells, parts, middle)
 
 
-def _rim(outline: Outline) -> np.ndarray:
+def _rim(outline: Outline) -> ndarray:
     """Closed polyline along an outline, [n, 2]."""
     if isinstance(outline, Polygon):
         return np.array([*outline.corners, outline.corners[0]])

@@ -12,6 +12,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 from weakref import WeakValueDictionary
 
 import numpy as np
+from numpy import ndarray
 from numpy.linalg import norm, qr, svd
 from scipy.spatial import cKDTree
 
@@ -54,8 +55,8 @@ LARGEST_TABLE = 2**30
 class Lattice(NamedTuple):
     """Lattice steps of nodes from its corner, [N, d] int32, and its axes as columns."""
 
-    steps: np.ndarray
-    axes: np.ndarray
+    steps: ndarray
+    axes: ndarray
 
 
 @typed
@@ -85,11 +86,11 @@ class Points(InSpace, Shown, Held):
     49
     """
 
-    x: np.ndarray
-    interior: np.ndarray
+    x: ndarray
+    interior: ndarray
     spacing: NotNegative
     box: tuple[float, ...] | None = None
-    outside: np.ndarray | None = None
+    outside: ndarray | None = None
     units: Units = USUAL
     axis: Any = None
 
@@ -205,7 +206,7 @@ class Points(InSpace, Shown, Held):
 
     @classmethod
     def _around(
-        cls, beyond: Any, half: np.ndarray, spacing: float, horizon: float, **more: Any
+        cls, beyond: Any, half: ndarray, spacing: float, horizon: float, **more: Any
     ) -> Points:
         """Lattice nodes up to two horizons beyond a body, interior where within it."""
         with np.errstate(over="ignore"):
@@ -236,7 +237,7 @@ class Points(InSpace, Shown, Held):
         return self.spacing > 0 and self.box is None and self.outside is None
 
 
-def checked_positions(x: Any) -> np.ndarray:
+def checked_positions(x: Any) -> ndarray:
     """Check positions, [N, 2] or [N, 3] and one at least; else InputError."""
     found = checked("x", x)
     if found.ndim != 2 or found.shape[1] not in (2, 3) or len(found) == 0:
@@ -258,7 +259,7 @@ def checked_axis(axis: Any, dimension: int) -> Any:
     raise InputError(f"axis: expected an angle [degrees], got {axis!r:.60}")
 
 
-def refuse_twice(x: np.ndarray) -> None:
+def refuse_twice(x: ndarray) -> None:
     """Raise InputError for coincident nodes (to 1e-9 of the mean distance), by one sort of x."""
     n, d = x.shape
     near = TWICE * float(np.ptp(x, axis=0).max()) / n ** (1 / d)
@@ -282,17 +283,17 @@ def check_lattice(points: Any) -> None:
         )
 
 
-def grid_places(shape: Sequence[int] | np.ndarray) -> np.ndarray:
+def grid_places(shape: Sequence[int] | ndarray) -> ndarray:
     """All places of a grid, the last index first to change, shape [n, d]."""
     return np.argwhere(np.ones(shape, bool))
 
 
-def grid_points(line: Iterable[float], dimension: int) -> np.ndarray:
+def grid_points(line: Iterable[float], dimension: int) -> ndarray:
     """All points whose coordinates are among those of a line, the last changing fastest."""
     return np.array(list(itertools.product(line, repeat=dimension)))
 
 
-def straight_steps(x: np.ndarray, h: float, unit: str = "") -> Lattice:
+def straight_steps(x: ndarray, h: float, unit: str = "") -> Lattice:
     """Lattice steps and axes of nodes of spacing h, the axes those of x where along them;
     InputError naming points off the lattice, and for nodes too far apart to be one body."""
     near = _allowed(x, h)
@@ -324,14 +325,14 @@ def straight_steps(x: np.ndarray, h: float, unit: str = "") -> Lattice:
     return Lattice(grid - grid.min(axis=0), axes)
 
 
-def _allowed(x: np.ndarray, h: float) -> float:
+def _allowed(x: ndarray, h: float) -> float:
     """How far off their lattice, in spacings, nodes may lie: more in single precision."""
     with np.errstate(over="ignore"):
         single = SINGLE * np.abs(x).max() / h * np.array_equal(x, np.float32(x))
     return single if LATTICE_TOLERANCE < single <= NEAREST else LATTICE_TOLERANCE
 
 
-def _axes(x: np.ndarray, h: float, near: float, unit: str) -> np.ndarray:
+def _axes(x: ndarray, h: float, near: float, unit: str) -> ndarray:
     """Lattice axes of nearest-neighbour directions, close to the coordinates, that fit best."""
     some, d = x[:: max(1, len(x) // 2000)], x.shape[1]
     pairs = cKDTree(x).query_ball_point(some, h * (1 + 2 * near))
@@ -348,7 +349,7 @@ def _axes(x: np.ndarray, h: float, near: float, unit: str) -> np.ndarray:
     return np.asarray(U @ V)
 
 
-def unit_vectors(angle: Any) -> np.ndarray:
+def unit_vectors(angle: Any) -> ndarray:
     """Unit vectors of the plane at angles [rad] from the first axis, shape [..., 2]."""
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
@@ -359,7 +360,7 @@ def check_dimensions(name: str, count: int) -> None:
         raise InputError(f"{name}: expected 2 or 3, got {count}")
 
 
-def nearest(xi: np.ndarray, box: tuple[float, ...] | None) -> np.ndarray:
+def nearest(xi: ndarray, box: tuple[float, ...] | None) -> ndarray:
     """Bond vectors to the nearest periodic images."""
     return xi if box is None else xi - np.round(xi / box) * box
 
@@ -394,9 +395,9 @@ class Samples(Shown):
     """
 
     points: Points
-    u: np.ndarray
-    b: np.ndarray | None = None
-    arrays: dict[str, np.ndarray] = field(default_factory=dict)
+    u: ndarray
+    b: ndarray | None = None
+    arrays: dict[str, ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if is_piece(self.points):
@@ -444,7 +445,7 @@ class Samples(Shown):
         return counts | {"spacing": self.spacing, "arrays": [*self.arrays]}
 
     @property
-    def loads(self) -> np.ndarray:
+    def loads(self) -> ndarray:
         """Loads b [TPa/Å]; InputError where they are not known."""
         if self.b is None:
             raise InputError("b: expected loads, got samples whose loads are not known (b=None)")
@@ -475,7 +476,7 @@ def nodes_of(given: PointsLike) -> Points:
     return given.points if isinstance(given, Samples) else given
 
 
-_said: WeakValueDictionary[int, np.ndarray] = WeakValueDictionary()
+_said: WeakValueDictionary[int, ndarray] = WeakValueDictionary()
 """Positions that a direction was assumed on; gone with the points."""
 
 

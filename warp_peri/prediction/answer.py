@@ -10,6 +10,7 @@ from itertools import count
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 from numpy.linalg import norm
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
@@ -111,9 +112,9 @@ class QuantityEstimate:
     Bars use the factors of whole fields, so that at a single place more than one value in ten may
     be further off."""
 
-    value: np.ndarray
-    correction: np.ndarray
-    bar: np.ndarray
+    value: ndarray
+    correction: ndarray
+    bar: ndarray
 
 
 @typed_methods
@@ -132,13 +133,13 @@ class Prediction(Shown):
         slowed: the second correction over the first, where both are known.
     """
 
-    u: np.ndarray
+    u: ndarray
     parts: dict[str, float]
     uncovered: tuple[str, ...]
     corrections: int
     tolerance: float | None
     operator: EnsembleOperator
-    load: np.ndarray
+    load: ndarray
     slowed: float
 
     @property
@@ -173,11 +174,11 @@ class Prediction(Shown):
         return placed.doubts(self.u, left, placed.recorded(self.u)[0], self.slowed)
 
     @property
-    def corrected(self) -> np.ndarray:
+    def corrected(self) -> ndarray:
         """Displacement with the remaining correction added, on all nodes."""
         return self._plus(self.fields["left"])
 
-    def of(self, quantity: Callable[[np.ndarray], Any]) -> QuantityEstimate:
+    def of(self, quantity: Callable[[ndarray], Any]) -> QuantityEstimate:
         """Estimate a quantity, a function of nodal displacements [N, d], with its error (Q4).
         warp_peri.prediction has strain and stress."""
         at = checked("quantity", quantity(self.u))
@@ -187,7 +188,7 @@ class Prediction(Shown):
         }
         return QuantityEstimate(at, changes["left"], self._bar(changes))
 
-    def map(self) -> np.ndarray:
+    def map(self) -> ndarray:
         """Likely error of the displacement at each node [length], shape [N]; 0 on the collar. As of
         a quantity, more than one node in ten may be further off."""
         bar = np.zeros(len(self.u))
@@ -195,7 +196,7 @@ class Prediction(Shown):
         bar[self.operator.points.interior] = self._bar(sizes)
         return bar
 
-    def _bar(self, sizes: Arrays) -> np.ndarray:
+    def _bar(self, sizes: Arrays) -> ndarray:
         """Likely error of numbers that error fields change by `sizes`; NaN where it is unknown."""
         bar = norm([*combined(sizes, self.operator.family.factors).values()], axis=0)
         return np.where(np.isnan(self.error), np.nan, bar)
@@ -242,7 +243,7 @@ class Prediction(Shown):
         )
         return ErrorBound(bound, relative, q, largest, moved, words)
 
-    def _plus(self, part: np.ndarray) -> np.ndarray:
+    def _plus(self, part: ndarray) -> ndarray:
         return self.u + self.operator.rich.on_all(part)  # type: ignore[no-any-return]
 
     def rows(self) -> Rows:
@@ -277,7 +278,7 @@ def strain(points: PointsLike, at: ArrayLike) -> Measure:
     if (off > 1e-3 * nodes.spacing).any():
         raise InputError("strain: expected positions whose nodes have neighbours along the axes")
 
-    def of(u: np.ndarray) -> np.ndarray:
+    def of(u: ndarray) -> ndarray:
         u = checked("u", u, float, nodes.x.shape)
         return symmetric_part((u[after] - u[before]) / (2 * nodes.spacing))
 
@@ -340,8 +341,8 @@ def predict(
 
 def _answer(
     placed: EnsembleOperator,
-    b: np.ndarray,
-    given: np.ndarray,
+    b: ndarray,
+    given: ndarray,
     tolerance: float | None,
     uncovered: tuple[str, ...],
 ) -> Prediction:
@@ -354,10 +355,10 @@ def _answer(
     before, slowed, earlier, start = math.inf, 0.0, (u, u[inside], 0), u[inside]
     bent = None if placed.nonlinear else placed.bent(u)
 
-    def share(field: np.ndarray | None) -> float:
+    def share(field: ndarray | None) -> float:
         return 0.0 if field is None else float(norm(field) / (norm(u[inside]) or 1.0))
 
-    def judged(u: np.ndarray, left: np.ndarray, done: int) -> Prediction:
+    def judged(u: ndarray, left: ndarray, done: int) -> Prediction:
         fields = placed.doubts(u, left, told, slowed)
         sizes = {"strain": 0.0} | {name: share(part) for name, part in fields.items()}
         parts = combined(sizes, factors)
@@ -412,7 +413,7 @@ def _uncovered(placed: EnsembleOperator, points: Any) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _beyond(placed: EnsembleOperator, u: np.ndarray, unseen: float) -> Rows:
+def _beyond(placed: EnsembleOperator, u: ndarray, unseen: float) -> Rows:
     """Parts of the error that are unknown, each with the limit of the data that is exceeded."""
     found = []
     if unseen > SHORTER:

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 import scipy.fft
 import scipy.sparse as sp
+from numpy import ndarray
 from numpy.linalg import lstsq, norm, qr
 from scipy.ndimage import distance_transform_edt
 
@@ -60,8 +61,8 @@ class ErrorSpectrum:
     unknown, and the largest known error stands for it.
     """
 
-    wavelength: Annotated[np.ndarray, FieldUnits(length=1)]
-    error: np.ndarray
+    wavelength: Annotated[ndarray, FieldUnits(length=1)]
+    error: ndarray
     shortest: Annotated[float, FieldUnits(length=1)] = 0.0
 
     def __post_init__(self) -> None:
@@ -69,16 +70,16 @@ class ErrorSpectrum:
         if not (rising and self.error.shape == self.wavelength.shape and (self.error >= 0).all()):
             raise InputError("record: expected wavelengths > 0 that grow, an error ≥ 0 of each")
 
-    def of(self, shares: np.ndarray) -> float:
+    def of(self, shares: ndarray) -> float:
         """Relative error of a field with these shares by wavelength."""
         return float(np.sqrt(shares @ self.error**2))
 
-    def unseen(self, shares: np.ndarray) -> float:
+    def unseen(self, shares: ndarray) -> float:
         """Share of a field with wavelengths shorter than all that samples held."""
         return float(shares[self.wavelength < self.shortest * (1 - 1e-9)].sum())
 
 
-def spectrum_of(points: PointsLike, wavelength: np.ndarray) -> Measure:
+def spectrum_of(points: PointsLike, wavelength: ndarray) -> Measure:
     """Function from lattice fields [N, d], less affine parts, to the shares of their squares by
     wavelength [length], growing, [K]."""
     steps, count = points.lattice.steps, len(wavelength)
@@ -102,7 +103,7 @@ def spectrum_of(points: PointsLike, wavelength: np.ndarray) -> Measure:
     at = np.concatenate([low, low + 1]), np.tile(np.arange(low.size), 2)
     by_knot = sp.csr_array((values, at), (count, low.size))
 
-    def shares(u: np.ndarray) -> np.ndarray:
+    def shares(u: ndarray) -> ndarray:
         u = u / max(np.abs(u).max(), 1e-300)
         left = (u - affine @ (affine.T @ u)) * window
         field = np.zeros((u.shape[1], np.prod(shape)), np.float32)
@@ -115,7 +116,7 @@ def spectrum_of(points: PointsLike, wavelength: np.ndarray) -> Measure:
     return shares
 
 
-def recorded(wavelength: np.ndarray, rows: np.ndarray, errors: np.ndarray) -> ErrorSpectrum:
+def recorded(wavelength: ndarray, rows: ndarray, errors: ndarray) -> ErrorSpectrum:
     """Make the error spectrum from samples' errors [S] and shares [S, K] of wavelengths [K]."""
     there = rows.sum(axis=0)
     error = np.sqrt((rows * errors[:, None] ** 2).sum(axis=0) / np.maximum(there, 1e-300))
@@ -139,7 +140,7 @@ class EnsembleOperator:
     def _on(self, material: Any, points: Any) -> Any:
         return placed(material, points, verb="predict", has="straight", **self.options)
 
-    def straight(self, u: np.ndarray) -> np.ndarray:
+    def straight(self, u: ndarray) -> ndarray:
         """Force of the rich member's linear part at u."""
         return np.asarray(getattr(self.rich, "straight", self.rich)(u))
 
@@ -152,11 +153,11 @@ class EnsembleOperator:
         return getattr(poor, "straight", poor), one, other
 
     @cached_property
-    def inverse(self) -> Callable[[np.ndarray, float], np.ndarray]:
+    def inverse(self) -> Callable[[ndarray, float], ndarray]:
         """Inverse S = L⁻¹ of a load on the interior, to a relative residual."""
         return self.rich.inverse(self.loads)  # type: ignore[no-any-return]
 
-    def gradient(self, u: np.ndarray) -> float:
+    def gradient(self, u: ndarray) -> float:
         """Root mean square gradient |H| of u; of a linear member the largest bond strain."""
         if not self.nonlinear:
             return float(largest_strain(self.points, u))
@@ -170,7 +171,7 @@ class EnsembleOperator:
         knots = self.points.spacing * KNOTS if record is None else record.wavelength
         return spectrum_of(self.points, knots)
 
-    def recorded(self, u: np.ndarray) -> tuple[float | None, float]:
+    def recorded(self, u: ndarray) -> tuple[float | None, float]:
         """Recorded relative error of a field, or None, and its share of unrecorded short waves."""
         record = self.family.record
         if record is None or self.points.spacing == 0:
@@ -185,7 +186,7 @@ class EnsembleOperator:
             return None
         return self._on(self.family.rich, replace(self.points, axis=HALF_PERIOD))
 
-    def correction(self, load: np.ndarray, u: np.ndarray) -> np.ndarray:
+    def correction(self, load: ndarray, u: ndarray) -> ndarray:
         """Correction e = S (b − R u) of u by the rich member: its estimated error, [I, d] (Q1)."""
         return self.inverse(load - self.rich(u), ROUGH)
 
@@ -199,7 +200,7 @@ class EnsembleOperator:
         except InputError:
             return None
 
-    def bent(self, u: np.ndarray) -> np.ndarray | None:
+    def bent(self, u: ndarray) -> ndarray | None:
         """Displacement by the force's nonlinearity at u, [I, d] (Q3); None without `grid`."""
         if self.nonlinear:
             return self.inverse(self.rich(u) - self.straight(u), ROUGH)
@@ -216,7 +217,7 @@ class EnsembleOperator:
         return max(BEYOND * self.family.factors.screen * gradient, slowed)
 
     def doubts(
-        self, u: np.ndarray, left: np.ndarray, told: float | None = None, slowed: float = 0.0
+        self, u: ndarray, left: ndarray, told: float | None = None, slowed: float = 0.0
     ) -> Arrays:
         """Error fields of u [length], shape [I, d], by origin (Q1–Q3); `slowed` as of `series`.
 
@@ -240,7 +241,7 @@ class EnsembleOperator:
         return fields
 
 
-def quadratic_stresses(H: np.ndarray) -> np.ndarray:
+def quadratic_stresses(H: ndarray) -> ndarray:
     """Isotropic stresses, 7 in all, that are quadratic in H = ∇u [..., d, d], [7, ..., d, d]."""
     E, one = symmetric_part(H), np.eye(H.shape[-1])
     W, trace = H - E, np.linalg.trace(E)[..., None, None]
@@ -249,15 +250,15 @@ def quadratic_stresses(H: np.ndarray) -> np.ndarray:
     return np.stack([trace**2 * one, *squares, trace * E, E @ E, *mixed])
 
 
-def second_order(grid: Grid, spacing: float, u: np.ndarray) -> np.ndarray:
+def second_order(grid: Grid, spacing: float, u: ndarray) -> ndarray:
     """Forces of the quadratic stresses of u [S, N, d], by lattice differences, [7, S, I, d]."""
     axes = tuple(range(2, 2 + grid.dimension))
     crop = (..., *grid.core) if grid.periodic else (...,)
 
-    def slopes(planes: np.ndarray) -> np.ndarray:
+    def slopes(planes: ndarray) -> ndarray:
         return np.stack(np.gradient(planes, spacing, axis=axes), axis=-1)
 
-    def force(P: np.ndarray) -> np.ndarray:
+    def force(P: ndarray) -> ndarray:
         bent = [slopes(np.moveaxis(P[..., j], -1, 1))[..., j] for j in range(grid.dimension)]
         return grid.gather(np.sum(bent, axis=0)[crop])
 
@@ -265,7 +266,7 @@ def second_order(grid: Grid, spacing: float, u: np.ndarray) -> np.ndarray:
     return np.array([force(P) for P in quadratic_stresses(H)])
 
 
-def spread(waves: np.ndarray, data: np.ndarray) -> float:
+def spread(waves: ndarray, data: ndarray) -> float:
     """Root mean square size of the two fields in which other members differ."""
     return float(np.hypot(norm(waves), norm(data)) / np.sqrt(2))
 
@@ -427,7 +428,7 @@ def calibrated(
     told = np.array([record.of(one) for one in rows["shares"]])
     members = rows["members"] * [pulled(*pair) for pair in zip(rows["members"], told)]
 
-    def quantile(above: np.ndarray, below: np.ndarray, share: float = COVERED) -> float:
+    def quantile(above: ndarray, below: ndarray, share: float = COVERED) -> float:
         return float(np.quantile(above / np.maximum(below, ROUNDING), share))
 
     bends = nonlinear and np.any(rows["gradient"] > 0)

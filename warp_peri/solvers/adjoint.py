@@ -30,6 +30,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 import torch
+from numpy import ndarray
 
 from warp_peri.core.torch_bridge import as_tensor, by_numbers, once, real, with_numbers
 from warp_peri.errors import InputError, Values, called
@@ -111,7 +112,7 @@ class _Waves:
         self.dt, self.steps, self.every = options["step"], options["steps"], options.pop("every")
         self.kept: list[verlet.State] = []
 
-    def there(self, *given: np.ndarray) -> list[Any]:
+    def there(self, *given: ndarray) -> list[Any]:
         """Final u and v [N, d], and records [R, n, d], from u, v, b, a signal and numbers."""
         fields = dict(zip(("u", "v", "b"), given))
         nodes, self.body, state = verlet.started(self.operator, fields, given[3], **self.options)
@@ -221,7 +222,7 @@ class Implicit:
         self.ahead = MatrixProblem(sp.csr_array(E + self.theta * L), operator.points.interior)
         self.behind = E - (1 - self.theta) * L
 
-    def there(self, start: Any, loads: Any, given: Any, *_: np.ndarray) -> tuple[np.ndarray]:
+    def there(self, start: Any, loads: Any, given: Any, *_: ndarray) -> tuple[ndarray]:
         """Compute the fields at the start and after each step from loads and given values."""
         one = self.operator.shape
         fields = [checked("u", start, float, one)]
@@ -233,7 +234,7 @@ class Implicit:
         self.fields = np.array(fields)
         return (self.fields,)
 
-    def back(self, asked: tuple[bool, ...], p: np.ndarray) -> list[Any]:
+    def back(self, asked: tuple[bool, ...], p: ndarray) -> list[Any]:
         """Derivatives to the start, to loads and given values of each step, and to asked numbers,
         from those of the fields, p (overwritten)."""
         wanted = [*compress(self.names, asked[3:])]

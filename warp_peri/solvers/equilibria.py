@@ -17,6 +17,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 from numpy.linalg import lstsq
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator
@@ -136,13 +137,13 @@ class Equilibria:
     force: Force
     straight: Force
     inverse: Inverse
-    inside: np.ndarray
+    inside: ndarray
     clipped: Force | None = None
     rounding: float = 0.0
 
     def solve(
-        self, load: np.ndarray, given: np.ndarray, tolerance: float
-    ) -> tuple[np.ndarray, NonlinearRecord]:
+        self, load: ndarray, given: ndarray, tolerance: float
+    ) -> tuple[ndarray, NonlinearRecord]:
         """Displacement u [N, d] with force = load [I, d] and u given elsewhere, on the branch from
         rest; InputError where none is found."""
         record = NonlinearRecord()
@@ -153,7 +154,7 @@ class Equilibria:
             record.residual = 0.0
             return field, record
 
-        def part(share: float, guess: np.ndarray | None) -> np.ndarray | None:
+        def part(share: float, guess: ndarray | None) -> ndarray | None:
             if guess is None:
                 record.solves += 1
                 guess = self.inverse(share * right, ROUGH)
@@ -172,8 +173,8 @@ class Equilibria:
         return field, record
 
     def solve_from(
-        self, load: np.ndarray, start: np.ndarray, tolerance: float
-    ) -> tuple[np.ndarray, NonlinearRecord]:
+        self, load: ndarray, start: ndarray, tolerance: float
+    ) -> tuple[ndarray, NonlinearRecord]:
         """Displacement from a start [N, d] near it, by Newton's method, with no guarantee; the
         record's residual is relative to that of the start with a zero interior."""
         record, field = NonlinearRecord(method="newton"), start.copy()
@@ -185,23 +186,23 @@ class Equilibria:
 
     def _found(
         self,
-        load: np.ndarray,
-        field: np.ndarray,
-        begin: np.ndarray,
+        load: ndarray,
+        field: ndarray,
+        begin: ndarray,
         scale: float,
         tolerance: float,
         record: NonlinearRecord,
         *,
         mixes: bool = True,
-    ) -> np.ndarray:
+    ) -> ndarray:
         """Displacement of the interior, as far as it converges (see the record)."""
 
-        def left(inner: np.ndarray, force: Force = self.force) -> np.ndarray:
+        def left(inner: ndarray, force: Force = self.force) -> ndarray:
             field[self.inside] = inner
             with np.errstate(all="ignore"):  # of a step that ran away
                 return (load - force(field)) / scale
 
-        def correction(to: float, residual: np.ndarray) -> np.ndarray:
+        def correction(to: float, residual: ndarray) -> ndarray:
             record.solves += 1
             return self.inverse(residual * scale, to)
 
@@ -222,9 +223,7 @@ class Equilibria:
         return v
 
 
-def follow(
-    solve: Callable[[float, np.ndarray | None], np.ndarray | None],
-) -> tuple[Any, float, int]:
+def follow(solve: Callable[[float, ndarray | None], ndarray | None]) -> tuple[Any, float, int]:
     """Follow answers of `solve` from a share of zero to one, at once or in steps that halve on
     failure. It is given a share of the load and a guess, and answers None where it fails. Returns
     the last answer, or zero, its share, and the number of steps."""
@@ -243,12 +242,12 @@ def follow(
 
 
 def anderson(
-    left: Force, correction: Force, start: np.ndarray, tolerance: float
-) -> tuple[np.ndarray, float]:
+    left: Force, correction: Force, start: ndarray, tolerance: float
+) -> tuple[ndarray, float]:
     """Iterate u ← u + correction(left(u)), `left` the relative residual, mixing the last steps (D.
     G. Anderson, 1965). Returns the field of the smallest residual, and its norm."""
     u, best, waited = start, (start, np.inf), 0
-    steps, fields = list[np.ndarray](), list[np.ndarray]()
+    steps, fields = list[ndarray](), list[ndarray]()
     for _ in range(MOST_STEPS):
         residual = left(u)
         size = HERE.norm(residual)
@@ -286,8 +285,8 @@ class Descent:
     op: Any
 
     def solve(
-        self, load: np.ndarray, given: np.ndarray, tolerance: float
-    ) -> tuple[np.ndarray, NonlinearRecord]:
+        self, load: ndarray, given: ndarray, tolerance: float
+    ) -> tuple[ndarray, NonlinearRecord]:
         """Stable displacement u [N, d] with force = load [I, d] and u given on the collar;
         NoEquilibriumError where there is none, a warning where it is not followed from rest."""
         u, record = self.find(load, given, tolerance)
@@ -309,12 +308,12 @@ class Descent:
 
     def find(
         self,
-        load: np.ndarray,
-        given: np.ndarray,
+        load: ndarray,
+        given: ndarray,
         tolerance: float,
-        start: np.ndarray | None = None,
+        start: ndarray | None = None,
         near: Inner | None = None,
-    ) -> tuple[np.ndarray, NonlinearRecord]:
+    ) -> tuple[ndarray, NonlinearRecord]:
         """Find an equilibrium, stable as far as the steps tell; the record says if there is one.
 
         Args:
@@ -333,7 +332,7 @@ class Descent:
         first = op.lift(given) if start is None else start
         answer: Any
 
-        def part(share: float, guess: np.ndarray | None, **how: Any) -> np.ndarray | None:
+        def part(share: float, guess: ndarray | None, **how: Any) -> ndarray | None:
             if guess is None:
                 guess = first if share == 1 else op.lift(share * given)
             u = np.where(op.points.interior[:, None], guess, share * given)
@@ -355,7 +354,7 @@ class Descent:
         record.residual = float(np.abs(left).max() / scale)
         return answer, record
 
-    def _too_small(self, load: np.ndarray, given: np.ndarray) -> float:
+    def _too_small(self, load: ndarray, given: ndarray) -> float:
         """Factor by which load and collar must grow for strains above rounding; 1 if none."""
         spacing, rest = self.op.points.spacing, 0 * given
         strain = float(np.ptp(self.op.lift(given), axis=0).max()) / spacing
@@ -364,24 +363,24 @@ class Descent:
             strain = max(strain, float(np.abs(step).max()) / spacing)
         return LINEAR / strain if 0 < strain < LINEAR / 2 else 1.0
 
-    def _left(self, load: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, float]:
+    def _left(self, load: ndarray, u: ndarray) -> tuple[ndarray, float]:
         """Residual of force and load, and the largest of both."""
         f = self.op.everywhere(u)
         return load - f[self.op.points.interior], max(np.abs(load).max(), np.abs(f).max(), 1e-300)
 
-    def _potential(self, load: np.ndarray, u: np.ndarray) -> float:
+    def _potential(self, load: ndarray, u: ndarray) -> float:
         """Potential energy of all forces, over the area of a node."""
         return float(self.op.nodal_energy(u).sum() - (load * u[self.op.points.interior]).sum())
 
     def _down(
         self,
-        load: np.ndarray,
-        u: np.ndarray,
+        load: ndarray,
+        u: ndarray,
         tolerance: float,
         *,
         near: Inner | None = None,
         shifts: bool = False,
-    ) -> tuple[np.ndarray | None, int]:
+    ) -> tuple[ndarray | None, int]:
         """Minimise the potential down from u; the field, or None, and Newton's steps. Without
         shifts it also ends where the tangent is not positive definite: the branch of stable
         equilibria that u lies near has been left. With the inverse of a tangent `near` none is
@@ -405,7 +404,7 @@ class Descent:
         return None, steps
 
     def _direction(
-        self, u: np.ndarray, left: np.ndarray, near: Inner | None, shifts: bool
+        self, u: ndarray, left: ndarray, near: Inner | None, shifts: bool
     ) -> tuple[Any, bool, Inner | None]:
         """Step down, whether the tangent seems positive definite, and its inverse or one near."""
         op, rough = self.op, near is not None and near is self.op.rough
@@ -421,9 +420,9 @@ class Descent:
         return inverse and inverse(left), stable, None if shifts else inverse
 
     def _searched(
-        self, load: np.ndarray, u: np.ndarray, step: np.ndarray, left: np.ndarray, small: float,
+        self, load: ndarray, u: ndarray, step: ndarray, left: ndarray, small: float,
         folds: float,
-    ) -> tuple[np.ndarray, float] | None:  # fmt: skip
+    ) -> tuple[ndarray, float] | None:  # fmt: skip
         """Field after the longest part of a step that lowers potential or residual; its folds."""
         before, slope, part = self._potential(load, u), float((left * step).sum()), 1.0
         while part > SHORTEST:
@@ -493,12 +492,12 @@ def equilibria_of(
     return by_sample(operator, answers.reshape(field.shape), load, records, method, told)
 
 
-def smallest_of(operator: Any, field: np.ndarray) -> float:
+def smallest_of(operator: Any, field: ndarray) -> float:
     """Smallest eigenvalue of the symmetric part of the tangent at a field, on the unknowns."""
     inside = operator.points.interior
     free = np.count_nonzero(inside), operator.shape[1]
 
-    def product(x: np.ndarray) -> np.ndarray:
+    def product(x: ndarray) -> ndarray:
         w = x.T.reshape(-1, *free)
         u = np.broadcast_to(field, (len(w), *operator.shape))
         both = operator.jvp(u, operator.on_all(w)) + operator.vjp(u, w)[:, inside]

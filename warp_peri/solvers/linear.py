@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import scipy.fft
+from numpy import ndarray
 from scipy.ndimage import convolve1d, distance_transform_cdt
 
 from warp_peri.core.elastic import q1_tensors
@@ -44,7 +45,7 @@ from warp_peri.solvers.systems import (
     symmetric_factors,
 )
 
-Inverse: TypeAlias = Callable[[np.ndarray, float], np.ndarray]
+Inverse: TypeAlias = Callable[[ndarray, float], ndarray]
 """An inverse of the linear part: of a load on the interior [I, d], to a relative residual."""
 FEW = DIRECT = 4_000
 """Most unknown nodes for which multigrid, whose iterations do not grow, is not worth its set-up;
@@ -97,7 +98,7 @@ class Linear:
         self.pull: ArrayMap = make(self.grid, stencil.steps, stencil.tensors, self.dtype)
         self._filters: dict[str, tuple[ArrayMap, ArrayMap | None]] = {}
 
-    def __call__(self, u: np.ndarray) -> np.ndarray:
+    def __call__(self, u: ndarray) -> ndarray:
         """Force L u of fields [S, N, d] at the interior nodes, [S, I, d]."""
         return self.grid.gather(self.pull(self.grid.scatter(u, self.dtype)))
 
@@ -107,7 +108,7 @@ class Linear:
             return self.pull
         return ByFFT(self.grid, self.stencil.steps, self.stencil.tensors)
 
-    def push(self, inner: np.ndarray) -> np.ndarray:
+    def push(self, inner: ndarray) -> ndarray:
         """Transposed product Lᵗ of a field on the interior [I, d], on all nodes, [N, d]."""
         grid, by = self.grid, self._torus
         field = convolved(by.symbol, grid.scatter_interior(inner), by.torus)
@@ -164,20 +165,20 @@ class Linear:
             inner = make(*args, stencil.elastic) if make else torus_inverse(*args)
             edge = edge_elimination(self.grid, stencil) if method == "strip" else None
 
-            def apply(r: np.ndarray) -> np.ndarray:
+            def apply(r: ndarray) -> ndarray:
                 z = inner(r) * h2
                 return z if edge is None else z - edge(self._product(z))
 
             self._filters[method] = apply, edge
         return self._filters[method]
 
-    def _product(self, field: np.ndarray) -> np.ndarray:
+    def _product(self, field: ndarray) -> ndarray:
         """Product of L with planes [d, *shape], at the unknowns, zero elsewhere."""
         return np.asarray(self.pull(self.grid.around(field)[None])[0])
 
     def _inverted(
-        self, right: np.ndarray, method: str, tolerance: float
-    ) -> tuple[np.ndarray, SolveRecord]:
+        self, right: ndarray, method: str, tolerance: float
+    ) -> tuple[ndarray, SolveRecord]:
         """Solution of L_II x = r in planes [d, *shape]."""
         if self.dtype != np.float64:
             raise InputError(f"dtype: expected float64 for a solve, got {self.dtype}")
@@ -194,8 +195,8 @@ class Linear:
         )
 
     def inverse(
-        self, right: np.ndarray, tolerance: float, method: str | None = None
-    ) -> tuple[np.ndarray, SolveRecord]:
+        self, right: ndarray, tolerance: float, method: str | None = None
+    ) -> tuple[ndarray, SolveRecord]:
         """Solution L_II⁻¹ b of an interior field [I, d], zero on the collar, and its record."""
         planes = self.grid.scatter_interior(right)
         z, record = self._inverted(planes, self.method(method), tolerance)
@@ -218,7 +219,7 @@ class Linear:
         factors, axes = factorised(block(self.stencil, grid.mask())), grid.axes
         order = np.argsort(grid.interior)  # as they follow one another in the box
 
-        def solved(right: np.ndarray, tolerance: float) -> np.ndarray:
+        def solved(right: ndarray, tolerance: float) -> ndarray:
             found = np.empty_like(right)
             found[order] = factors.solve((right @ axes)[order].ravel()).reshape(right.shape)
             return np.asarray(found @ axes.T)
@@ -226,8 +227,8 @@ class Linear:
         return solved
 
     def solve(
-        self, b: np.ndarray, u: np.ndarray, tolerance: float, method: str | None = None
-    ) -> tuple[np.ndarray, list[SolveRecord]]:
+        self, b: ndarray, u: ndarray, tolerance: float, method: str | None = None
+    ) -> tuple[ndarray, list[SolveRecord]]:
         """Solve L u = b at the interior nodes, u given elsewhere.
 
         Args:
@@ -257,7 +258,7 @@ class Linear:
         return answer, records
 
 
-def smallest_ratio(symbol: np.ndarray, torus: Shape) -> float:
+def smallest_ratio(symbol: ndarray, torus: Shape) -> float:
     """Smallest Λmin D(k) / Σ_a 4 sin²(k_a h/2) over waves k ≠ 0 of a torus and its torus_symbol."""
     waves = [4 * np.sin(np.pi * np.arange(n) / n) ** 2 for n in torus]
     waves[-1] = waves[-1][: symbol.shape[-1]]
@@ -278,7 +279,7 @@ def edge_elimination(grid: Grid, stencil: Stencil) -> ArrayMap:
     return partial(solved, symmetric_factors(block(stencil, near)), near)
 
 
-def solved(factors: Any, mask: np.ndarray, r: np.ndarray) -> np.ndarray:
+def solved(factors: Any, mask: ndarray, r: ndarray) -> ndarray:
     """Solution of a block's factors for r, in planes [d, *shape], zero off the mask."""
     z = np.zeros_like(r)
     z[:, mask] = factors.solve(np.ascontiguousarray(r[:, mask].T).ravel()).reshape(-1, len(r)).T
@@ -295,14 +296,14 @@ AXIS_WAVES = 16
 """Along an axis, at which the largest eigenvalue of the nearest cells is looked for."""
 
 
-def shear(elastic: np.ndarray) -> float:
+def shear(elastic: ndarray) -> float:
     """Mean shear modulus: of C_ijij − C_iijj/d, over the number of shears."""
     d = elastic.shape[0]
     return float((np.einsum("ijij", elastic) - np.einsum("iijj", elastic) / d) / (d * (d + 1) - 2))
 
 
 def torus_inverse(
-    nodes: Grid, steps: np.ndarray, tensors: np.ndarray, shift: np.ndarray | float = 0.0
+    nodes: Grid, steps: ndarray, tensors: ndarray, shift: ndarray | float = 0.0
 ) -> ArrayMap:
     """Filter (D(k) + shift I)⁻¹ on the torus around the nodes, cut off at them."""
     torus = torus_shape(nodes)
@@ -312,20 +313,20 @@ def torus_inverse(
     table = inverse(symbol).astype(kind)
     mask = nodes.mask()
 
-    def apply(r: np.ndarray) -> np.ndarray:
+    def apply(r: ndarray) -> ndarray:
         return np.asarray(convolved(table, r.astype(kind), torus) * mask, np.float64)
 
     return apply
 
 
-def seen_by_coarser(torus: Shape) -> np.ndarray:
+def seen_by_coarser(torus: Shape) -> ndarray:
     """Factor p = Π (1 + cos k_a h)/2 of prolongation at the waves of a torus."""
     seen = [(1 + np.cos(2 * np.pi * np.arange(n) / n)) / 2 for n in torus]
     seen[-1] = seen[-1][: torus[-1] // 2 + 1]
     return reduce(np.multiply.outer, seen)
 
 
-def sine(nodes: Grid, steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarray) -> ArrayMap:
+def sine(nodes: Grid, steps: ndarray, tensors: ndarray, elastic: ndarray) -> ArrayMap:
     """Filter for boxes: z = H ∗ r + S D_a⁻¹ shift (D_a + shift)⁻¹ S r, S the DST-I, the symbol's
     diagonal D_a = D_aa in the sine basis at long waves, all of it at short ones."""
     d, core = nodes.dimension, nodes.core
@@ -341,7 +342,7 @@ def sine(nodes: Grid, steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarra
     gain = (shift / (D * (D + shift))).astype(np.float32)
     axes = tuple(range(1, d + 1))
 
-    def apply(r: np.ndarray) -> np.ndarray:
+    def apply(r: ndarray) -> ndarray:
         z = short(r)
         inner = r[:, *core].astype(np.float32)
         wave = scipy.fft.dstn(inner, type=1, axes=axes, workers=get_num_threads()) * gain
@@ -351,7 +352,7 @@ def sine(nodes: Grid, steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarra
     return apply
 
 
-def multigrid(nodes: Grid, steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarray) -> ArrayMap:
+def multigrid(nodes: Grid, steps: ndarray, tensors: ndarray, elastic: ndarray) -> ArrayMap:
     """Filter for any mask: short waves by a filter on the torus, long ones by a V-cycle, added. z =
     mask (H ∗ r + P V(Pᵗ r)), H = (D + shift p(k))⁻¹ with p of `seen_by_coarser`; V is a V-cycle for
     Q1 elements of the same moduli on every second node."""
@@ -364,7 +365,7 @@ def multigrid(nodes: Grid, steps: np.ndarray, tensors: np.ndarray, elastic: np.n
     cycle = VCycle(*q1_tensors(elastic * 2.0 ** (nodes.dimension - 2)), coarse)
     core = (slice(None), *nodes.core)
 
-    def apply(r: np.ndarray) -> np.ndarray:
+    def apply(r: ndarray) -> ndarray:
         z = short(r)
         z[core] += prolong(cycle(restrict(r[core]) * coarse), mask.shape) * mask
         return z
@@ -372,31 +373,31 @@ def multigrid(nodes: Grid, steps: np.ndarray, tensors: np.ndarray, elastic: np.n
     return apply
 
 
-def coarser(mask: np.ndarray) -> np.ndarray:
+def coarser(mask: ndarray) -> ndarray:
     """Mask of a coarser level: every second node along each axis, from the second on."""
     return mask[(slice(1, None, 2),) * mask.ndim]
 
 
-def _spread(field: np.ndarray) -> np.ndarray:
+def _spread(field: ndarray) -> ndarray:
     """Planes [d, …] and half of what is beside, along each axis."""
     for axis in range(1, field.ndim):
         field = convolve1d(field, (0.5, 1.0, 0.5), axis, mode="constant")
     return field
 
 
-def restrict(field: np.ndarray) -> np.ndarray:
+def restrict(field: ndarray) -> ndarray:
     """Restriction Pᵗ: sums of planes [d, …] with weights 1 and 1/2 along each axis."""
     return _spread(field)[:, *[slice(1, None, 2)] * (field.ndim - 1)]
 
 
-def prolong(field: np.ndarray, shape: Shape) -> np.ndarray:
+def prolong(field: ndarray, shape: Shape) -> ndarray:
     """Prolongation P: linear interpolation of coarser planes to a box of the given shape."""
     fine = np.zeros((len(field), *shape), field.dtype)
     fine[:, *[slice(1, None, 2)] * len(shape)] = field
     return _spread(fine)
 
 
-def largest(steps: np.ndarray, tensors: np.ndarray) -> float:
+def largest(steps: ndarray, tensors: ndarray) -> float:
     """Largest eigenvalue of a stencil over its diagonal on a lattice, hence on any mask."""
     scale = 1 / np.sqrt(2 * np.diag(tensors.sum(axis=0)))
     phase = 2 * np.pi / AXIS_WAVES * grid_places((AXIS_WAVES,) * tensors.shape[-1])
@@ -411,7 +412,7 @@ class VCycle:
     coarser: Any = None
     factors: Any = None
 
-    def __init__(self, steps: np.ndarray, tensors: np.ndarray, mask: np.ndarray) -> None:
+    def __init__(self, steps: ndarray, tensors: ndarray, mask: ndarray) -> None:
         self._lay(steps, tensors, mask)
         if np.count_nonzero(mask) <= COARSEST or min(mask.shape) < 3:
             self.factors = symmetric_factors(block(Stencil(1.0, steps, tensors), mask))
@@ -421,7 +422,7 @@ class VCycle:
         if coarse.any():
             self.coarser = VCycle(steps, tensors * 2.0 ** (mask.ndim - 2), coarse)
 
-    def _lay(self, steps: np.ndarray, tensors: np.ndarray, mask: np.ndarray) -> None:
+    def _lay(self, steps: ndarray, tensors: ndarray, mask: ndarray) -> None:
         d, self.reach = mask.ndim, int(np.abs(steps).max())
         self.mask, self.shape = mask, mask.shape
         asked = np.pad(mask, self.reach)
@@ -430,24 +431,24 @@ class VCycle:
         self.rows = ByRows(nodes, steps, tensors)
         self.diagonal = 2 * np.diag(tensors.sum(axis=0)).reshape(d, *([1] * d))
 
-    def around(self, field: np.ndarray) -> np.ndarray:
+    def around(self, field: ndarray) -> ndarray:
         """Planes [d, …] padded by as many nodes as the stencil reaches."""
         return np.pad(field, [(0, 0)] + [(self.reach,) * 2] * self.mask.ndim)
 
-    def restrict(self, field: np.ndarray) -> np.ndarray:
+    def restrict(self, field: ndarray) -> ndarray:
         """Restrict planes to the coarser level."""
         return restrict(field)
 
-    def prolong(self, field: np.ndarray) -> np.ndarray:
+    def prolong(self, field: ndarray) -> ndarray:
         """Prolong planes from the coarser level."""
         return prolong(field, self.shape)
 
-    def product(self, field: np.ndarray) -> np.ndarray:
+    def product(self, field: ndarray) -> ndarray:
         """Apply the level's operator to planes [d, …]."""
         inner = (0, slice(None)) + (slice(self.reach, -self.reach),) * self.mask.ndim
         return self.rows(self.around(field)[None])[inner]
 
-    def _smoothed(self, r: np.ndarray, z: np.ndarray | None) -> np.ndarray:
+    def _smoothed(self, r: ndarray, z: ndarray | None) -> ndarray:
         """Two Chebyshev iterations of the operator over its diagonal, from z or from zero."""
         middle, radius = (self.largest * (1 + sign / SMOOTHED) / 2 for sign in (1, -1))
         left = r if z is None else r - self.product(z)
@@ -458,7 +459,7 @@ class VCycle:
         step = now * (radius / middle * step + 2 / radius * (left / self.diagonal))
         return np.asarray(z + step)
 
-    def __call__(self, r: np.ndarray) -> np.ndarray:
+    def __call__(self, r: ndarray) -> ndarray:
         """Approximate solution z ≈ A⁻¹ r for r zero outside the mask."""
         if self.factors is not None:
             return solved(self.factors, self.mask, r)

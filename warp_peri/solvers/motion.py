@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy import ndarray
 from tqdm import tqdm
 
 from warp_peri.errors import Arrays, InputError, Rows, Shown, StrPath, Values, agreed, warn
@@ -38,13 +39,13 @@ class Motion(Shown):
     (4,)
     """
 
-    time: np.ndarray
-    u: np.ndarray
-    v: np.ndarray | None = None
-    history: dict[str, np.ndarray] = field(default_factory=dict)
+    time: ndarray
+    u: ndarray
+    v: ndarray | None = None
+    history: dict[str, ndarray] = field(default_factory=dict)
     details: Any = None
 
-    def __getitem__(self, name: str) -> np.ndarray:
+    def __getitem__(self, name: str) -> ndarray:
         """A history by its name; InputError lists those there are."""
         if name not in self.history:
             raise InputError(
@@ -53,7 +54,7 @@ class Motion(Shown):
         return self.history[name]
 
     @property
-    def energy(self) -> np.ndarray:
+    def energy(self) -> ndarray:
         """Conserved energy of the motion, shape [R]."""
         return self["energy"]
 
@@ -83,7 +84,7 @@ class Motion(Shown):
         ax.set(xlabel="time", ylabel=name)
         return ax
 
-    def _recorded(self, name: str) -> np.ndarray:
+    def _recorded(self, name: str) -> ndarray:
         """A history; InputError where there are no records."""
         if not len(self.time):
             raise InputError("motion: expected a run of some steps, nothing has been recorded")
@@ -116,7 +117,7 @@ class TimeSeriesWriter:
     """
 
     def __init__(
-        self, folder: StrPath, nodes: Any, x: np.ndarray | None = None, *, resume: bool = False
+        self, folder: StrPath, nodes: Any, x: ndarray | None = None, *, resume: bool = False
     ) -> None:
         meshio_of()
         arguments.check_flag("resume", resume)
@@ -213,7 +214,7 @@ class Recorder:
     def __init__(
         self,
         nodes: Any,
-        x: np.ndarray,
+        x: ndarray,
         *,
         every: Count = 1,
         checkpoint: StrPath | None = None,
@@ -264,7 +265,7 @@ class Recorder:
                     self.file.write(arrays, {"steps": state.steps, "key": key} | content)
         return state
 
-    def recorded(self) -> tuple[np.ndarray, Arrays]:
+    def recorded(self) -> tuple[ndarray, Arrays]:
         """Times of the records, and the histories by name."""
         history = {name: np.array(rows) for name, rows in self.history.items()}
         return history.pop("time"), history

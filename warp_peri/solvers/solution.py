@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
+from numpy import ndarray
 from numpy.linalg import norm
 
 import warp_peri
@@ -160,7 +161,7 @@ class Solution(Shown):
         left, right = (norm(np.reshape(one, (rows, -1)), axis=1) for one in off)
         return float(np.max(np.divide(left, right, out=np.zeros_like(left), where=right > 0)))
 
-    def stress(self) -> np.ndarray:
+    def stress(self) -> ndarray:
         """Stress σ at the interior nodes, [..., I, d, d]; of a body at the mesh's corners."""
         if self.points is None:
             return np.asarray(self.details.on_corners()[1])
@@ -169,14 +170,14 @@ class Solution(Shown):
             raise InputError("stress: this model has none")
         return np.asarray(stress)
 
-    def energy(self) -> np.ndarray:
+    def energy(self) -> ndarray:
         """Elastic energy, as the operator's `energy`."""
         energy = None if self.points is None else self.operator.energy(self._values)
         if energy is None:
             raise InputError("energy: this model has none")
         return np.asarray(energy)
 
-    def at(self, x: np.ndarray) -> np.ndarray:
+    def at(self, x: ndarray) -> ndarray:
         """Displacement at positions of a meshed body, both [m, d]; InputError for lattices."""
         if not hasattr(self.details, "displacement"):
             raise InputError("at: only of bodies on meshes; u holds the values at the nodes")
@@ -228,7 +229,7 @@ class Solution(Shown):
         return ax
 
     @property
-    def _values(self) -> np.ndarray:
+    def _values(self) -> ndarray:
         """Displacement as a NumPy array; InputError for a rank's piece of one."""
         if hasattr(self.points, "comm"):
             raise InputError("solution: stress, energy, samples and plots are not had on ranks")

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
+from numpy import ndarray
 from numpy.linalg import eigvalsh, matrix_rank
 from scipy.optimize import NoConvergence, newton_krylov
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
@@ -86,7 +87,7 @@ class Balanced:
         scaled = sp.diags_array(self.rows) @ matrix @ sp.diags_array(self.columns)
         self.factors = factorise(scaled.tocsc())
 
-    def solve(self, right: np.ndarray, way: str = "N") -> np.ndarray:
+    def solve(self, right: ndarray, way: str = "N") -> ndarray:
         """Solve K x = right, [n] or [n, S], or Kᵗ x = right the `way` "T"."""
         into, out = (self.rows, self.columns)[:: 1 if way == "N" else -1]
         return np.asarray((self.factors.solve((right.T * into).T, way).T * out).T)
@@ -107,7 +108,7 @@ class MatrixProblem:
     def __init__(
         self,
         L: sp.csr_array,
-        interior: np.ndarray,
+        interior: ndarray,
         *,
         factorise: Callable[[sp.csc_array], Any] = factorised,
     ) -> None:
@@ -129,7 +130,7 @@ class MatrixProblem:
                 f"not well posed here ({error})"
             ) from None
 
-    def solve(self, b: np.ndarray, u: np.ndarray) -> np.ndarray:
+    def solve(self, b: ndarray, u: ndarray) -> ndarray:
         """Displacement [Å], [S, N, d]: u on the collar, the solution elsewhere; InputError for an
         operator that is singular, or nearly, which leaves a residual."""
         load, field = (one.reshape(len(one), len(self.unknown)) for one in (b, u.copy()))
@@ -170,9 +171,7 @@ def end_of_spectrum(symmetric: Any, which: str, **how: Any) -> float:
     return float(eigsh(symmetric, 1, which=which, v0=start, return_eigenvectors=False, **how)[0])
 
 
-def loose_pieces(
-    x: np.ndarray, piece: np.ndarray, held: np.ndarray
-) -> Iterator[tuple[np.ndarray, int, int]]:
+def loose_pieces(x: ndarray, piece: ndarray, held: ndarray) -> Iterator[tuple[ndarray, int, int]]:
     """Iterate over pieces of a body that can still move rigidly: their nodes, how many rigid
     motions are stopped, and of how many (3 or 6). `piece` numbers the piece of each node, [N];
     `held` are components that are given, [N, d] bool."""
@@ -298,7 +297,7 @@ APART = 1e-6
 """Difference that the derivative is taken over, relative to the field."""
 
 
-def newton(residual: Field, start: np.ndarray, tolerance: float) -> np.ndarray:
+def newton(residual: Field, start: ndarray, tolerance: float) -> ndarray:
     """Find a zero of a preconditioned residual, near the identity, as far as it comes."""
     size, last = HERE.largest(residual(start)), deque([start], maxlen=1)
     if not tolerance < size < np.inf:

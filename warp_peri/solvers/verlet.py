@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy import ndarray
 from numpy.typing import ArrayLike
 
 from warp_peri.core.proof import stencil_of
@@ -44,9 +45,9 @@ def stiffest_of(law: Any, spacing: float, allow_uncertified: bool) -> float:
 class State:
     """State of a motion after some steps: u [N, d], v and L u − b of the interior [I, d]."""
 
-    u: np.ndarray
-    v: np.ndarray
-    g: np.ndarray
+    u: ndarray
+    v: ndarray
+    g: ndarray
     steps: int = 0
 
 
@@ -82,20 +83,20 @@ class Inert:
     def __init__(
         self,
         operator: LPSOperator,
-        interior: np.ndarray,
+        interior: ndarray,
         density: float,
-        load: np.ndarray,
-        u: np.ndarray,
-        signal: np.ndarray | None = None,
+        load: ndarray,
+        u: ndarray,
+        signal: ndarray | None = None,
     ) -> None:
         self.operator, self.interior, self.load, self.signal = operator, interior, load, signal
         self.inertia = inertia(density, operator.model.units)
-        self.dot: Callable[[np.ndarray, np.ndarray], float] = np.vdot
+        self.dot: Callable[[ndarray, ndarray], float] = np.vdot
         self.count = int(np.count_nonzero(interior))
         self.held = operator(np.where(interior[:, None], 0.0, u))  # what the collar pulls
         self.floats = False
 
-    def on_all(self, inner: np.ndarray) -> np.ndarray:
+    def on_all(self, inner: ndarray) -> ndarray:
         """Extend a field of interior nodes [I, d] to all by zeros."""
         field = np.zeros((len(self.interior), inner.shape[1]))
         field[self.interior] = inner
@@ -105,7 +106,7 @@ class Inert:
         """Load factor s(t) after so many steps."""
         return 1.0 if self.signal is None else float(self.signal[steps])
 
-    def state(self, u: np.ndarray, v: np.ndarray, steps: int = 0) -> State:
+    def state(self, u: ndarray, v: ndarray, steps: int = 0) -> State:
         """The state with displacement [N, d] and velocity [I, d] after so many steps."""
         return State(u, v, self.operator(u) - self.share(steps) * self.load, steps)
 
@@ -221,7 +222,7 @@ def started(
     return nodes, body, body.state(start["u"], start["v"][free])
 
 
-def recorded_nodes(record: ArrayLike | None, count: int) -> np.ndarray | None:
+def recorded_nodes(record: ArrayLike | None, count: int) -> ndarray | None:
     """Numbers of the nodes to record, [n]; InputError for what names none of `count` nodes."""
     if record is None:
         return None
@@ -238,7 +239,7 @@ class WaveRun(Recorder):
     kind, phase, ends = "warp_peri.waves", 1, False
 
     def __init__(
-        self, nodes: Any, body: Inert, dt: float, seen: np.ndarray | None = None, **files: Any
+        self, nodes: Any, body: Inert, dt: float, seen: ndarray | None = None, **files: Any
     ) -> None:
         super().__init__(nodes, body.operator.points.x, **files)
         self.body, self.dt, self.seen = body, dt, seen

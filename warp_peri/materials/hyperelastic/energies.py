@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 import torch
+from numpy import ndarray
 from numpy.linalg import lstsq
 
 from warp_peri.core.record import FieldUnits
@@ -209,7 +210,7 @@ class Hyperelastic:
         ]
 
     @property
-    def stiffness(self) -> np.ndarray:
+    def stiffness(self) -> ndarray:
         """Trace of each energy's second derivative by the strain at a small stretch, (H14)."""
         small = torch.from_numpy(np.array([1e-6, 1e-6, 0.0]))
         curves = torch.func.jacrev(torch.func.jacrev(self.uniform))(small)
@@ -236,7 +237,7 @@ class Hyperelastic:
         return replace(self, terms=tuple(terms))
 
 
-def strain_weights(reach: float, order: int) -> np.ndarray:
+def strain_weights(reach: float, order: int) -> ndarray:
     """Weights w of the nodal strains E11, E22, 2 E12 (H3) on a lattice of spacing one, [C, 3]: of
     least Σ w² |ξ|^20 with exact second and, for order 4, zero fourth moments. Raises InputError
     where the family is too small for the order."""

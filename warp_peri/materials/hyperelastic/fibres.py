@@ -9,6 +9,7 @@ from typing import Annotated
 
 import numpy as np
 import torch
+from numpy import ndarray
 
 from warp_peri.errors import InputError, hold
 from warp_peri.materials.hyperelastic.energies import KINDS, LEAST, EnergyTerm, Hyperelastic, Strain
@@ -35,9 +36,9 @@ class ThicknessField:
     """
 
     degree: Annotated[int, Bound("a whole number from 1 to 6", range(1, 7).__contains__)]
-    centre: np.ndarray
-    half: np.ndarray
-    numbers: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    centre: ndarray
+    half: ndarray
+    numbers: ndarray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         if not checked("numbers", self.numbers).size:
@@ -48,7 +49,7 @@ class ThicknessField:
             raise InputError(f"half: expected lengths > 0, got {self.half}")
 
     @classmethod
-    def over(cls, x: np.ndarray, degree: int) -> ThicknessField:
+    def over(cls, x: ndarray, degree: int) -> ThicknessField:
         """A uniform thickness whose coordinates go from −1 to 1 over the nodes x, shape [N, 2]."""
         if not len(x := checked("x", x, float, ("N", 2))):
             raise InputError("x: expected nodes of a sheet, got none")
@@ -65,15 +66,15 @@ class ThicknessField:
         each = ([*zip("xy", powers)] for powers in self._powers)
         return [" ".join(v if n == 1 else f"{v}^{n}" for v, n in one if n) for one in each]
 
-    def _terms(self, x: np.ndarray) -> np.ndarray:
+    def _terms(self, x: ndarray) -> ndarray:
         x, y = ((checked("x", x, shape=("N", 2)) - self.centre) / self.half).T
         return np.stack([x**a * y**b for a, b in self._powers], axis=1)
 
-    def at(self, x: np.ndarray) -> np.ndarray:
+    def at(self, x: ndarray) -> ndarray:
         """Thickness at positions [length], [N, 2], relative to that at the centre, [N]."""
         return np.asarray(np.exp(self._terms(x) @ self.numbers))
 
-    def slopes(self, x: np.ndarray) -> np.ndarray:
+    def slopes(self, x: ndarray) -> ndarray:
         """Derivative of the thickness with respect to its coefficients, shape [N, P]."""
         return np.asarray(self.at(x)[:, None] * self._terms(x))
 
@@ -93,7 +94,7 @@ def _energy(term: EnergyTerm, x: float) -> float:
 @typed
 def fibre_families(
     solid: HyperelasticMaterial, *, share: Part = 0.02, within: NotNegative = 0.0
-) -> tuple[Hyperelastic, np.ndarray]:
+) -> tuple[Hyperelastic, ndarray]:
     """Reduce a fit on fixed fibre directions to one exponential family per direction, (H15).
 
     Directions with less than a `share` of all fibre energy are dropped, those `within` an angle
@@ -141,7 +142,7 @@ def fibres_of(dictionary: Hyperelastic) -> list[int]:
     return [dictionary.first_term + n for n, term in enumerate(dictionary.terms) if term.is_fibre]
 
 
-def fibre_numbers(dictionary: Hyperelastic, moving: Sequence[int]) -> tuple[np.ndarray, Pair]:
+def fibre_numbers(dictionary: Hyperelastic, moving: Sequence[int]) -> tuple[ndarray, Pair]:
     """Angles, then exponents of the fibres at M indices, shape [2 M], and their bounds."""
     terms, M = [dictionary.terms[n - dictionary.first_term] for n in moving], len(moving)
     numbers = np.array([*(t.angle for t in terms), *(t.exponent for t in terms)])
@@ -150,7 +151,7 @@ def fibre_numbers(dictionary: Hyperelastic, moving: Sequence[int]) -> tuple[np.n
 
 
 def with_numbers(
-    solid: HyperelasticMaterial, moving: Sequence[int], x: np.ndarray
+    solid: HyperelasticMaterial, moving: Sequence[int], x: ndarray
 ) -> HyperelasticMaterial:
     """The material with other coefficients, angles and exponents of M fibres, x [K + 2 M]."""
     K, terms = len(solid.coefficients), list(solid.dictionary.terms)

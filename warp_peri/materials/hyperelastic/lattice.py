@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 import torch
+from numpy import ndarray
 from numpy.linalg import eigvalsh, matrix_power
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.sparse.linalg import LinearOperator, splu
@@ -45,14 +46,14 @@ class Sites:
     """
 
     S: sp.csr_array
-    pair: np.ndarray
+    pair: ndarray
     corner: bool
 
-    def seen(self, e: np.ndarray) -> torch.Tensor:
+    def seen(self, e: ndarray) -> torch.Tensor:
         """Inputs q of the energies from bonds e [pairs, S], shape [Q, n, S]."""
         return torch.from_numpy((self.S @ e).reshape(-1, self.pair.shape[1], e.shape[1]))
 
-    def pull(self, stress: Any) -> np.ndarray:
+    def pull(self, stress: Any) -> ndarray:
         """Bond tensions over ξ + η, [pairs, S], from energy derivatives [Q, n, S]."""
         return np.asarray(self.S.T @ np.asarray(stress).reshape(self.S.shape[0], -1))
 
@@ -111,17 +112,17 @@ class SheetLattice:
         self.xi = points.spacing * half[self.kind] @ axes.T
         self.sites = cache(self._sites)
 
-    def differences(self, u: np.ndarray) -> np.ndarray:
+    def differences(self, u: ndarray) -> ndarray:
         """Bond displacements η = u_j − u_i of fields [S, N, 2], shape [pairs, 2, S]."""
         (i, j), u = self.pairs, np.ascontiguousarray(u.transpose(1, 2, 0))
         return np.asarray(np.take(u, j, axis=0) - np.take(u, i, axis=0))
 
-    def stretched(self, u: np.ndarray) -> Pair:
+    def stretched(self, u: ndarray) -> Pair:
         """Deformed bonds ξ + η, [pairs, 2, S], and e = ξ·η + ½ η·η, [pairs, S]."""
         eta, xi = self.differences(u), self.xi[..., None]
         return xi + eta, np.einsum("pas,pas->ps", xi + eta / 2, eta)
 
-    def at_ends(self, pull: np.ndarray) -> np.ndarray:
+    def at_ends(self, pull: ndarray) -> ndarray:
         """Sum bond forces [pairs, 2, S] at the nodes, [S, N, 2]."""
         flat = self.ends @ pull.reshape(len(pull), -1)
         return np.asarray(flat.reshape(-1, *pull.shape[1:]).transpose(2, 0, 1))
@@ -175,7 +176,7 @@ class SheetLattice:
         """Inverse of the Laplacian between interior nodes."""
         return splu(self.laplacian[:, self.interior].tocsc()).solve
 
-    def lift(self, u: np.ndarray) -> np.ndarray:
+    def lift(self, u: ndarray) -> ndarray:
         """Replace the interior of u [N, 2] by the harmonic extension of the collar."""
         lifted = np.where(self.points.interior[:, None], 0.0, u)
         lifted[self.interior] = self.laplace(-(self.laplacian @ lifted))
@@ -187,7 +188,7 @@ class SheetLattice:
         return self.laplace if 2 * len(self.interior) > DIRECT else None
 
     @cached_property
-    def order(self) -> np.ndarray:
+    def order(self) -> ndarray:
         """Numbering of the interior nodes by lines along the shorter side, for a narrow band."""
         inner = self.grid[self.interior]
         shorter = np.argmin(np.ptp(inner, axis=0))
@@ -212,7 +213,7 @@ class SheetLattice:
         return None, False
 
 
-def _solve(factors: np.ndarray, order: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _solve(factors: ndarray, order: ndarray, y: ndarray) -> ndarray:
     """K⁻¹ y from banded factors, its unknowns in an order; y as fields [I, 2] or [2 I, ...]."""
     x = np.empty((len(order), y.size // len(order)))
     x[order] = cho_solve_banded((factors, True), y.reshape(x.shape)[order], check_finite=False)

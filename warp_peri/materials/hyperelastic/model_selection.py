@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import torch
+from numpy import ndarray
 from numpy.typing import ArrayLike
 from scipy.optimize.elementwise import find_root
 from scipy.special import ndtri, stdtrit
@@ -65,7 +66,7 @@ class Candidate:
 
     def curves(
         self, stretches: ArrayLike, angle: float = 0.0, level: Share = 0.9
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    ) -> tuple[ndarray, ndarray, ndarray]:
         """Nominal stress of uniaxial tension along a direction [rad], and the ends of its band. The
         band is of each learned frame left out, by Student's distribution, of the misfit of frames
         that were never seen, and of the scatter of the scale: no error that all frames share.
@@ -186,7 +187,7 @@ def _learned(
 @own_torch()
 def uniaxial_stress(
     solid: HyperelasticMaterial, stretches: ArrayLike, angle: float = 0.0
-) -> np.ndarray:
+) -> ndarray:
     """Nominal stress of a uniform sheet in uniaxial tension along a direction [rad], [stretches].
 
     The other principal direction is free; shear across them is not let go. Raises InputError for
@@ -197,7 +198,7 @@ def uniaxial_stress(
         raise InputError(f"stretches: expected numbers > 0, got {along.min():g}")
     coefficients = torch.tensor(solid.coefficients)
 
-    def stress(across: np.ndarray, along: np.ndarray) -> list[np.ndarray]:
+    def stress(across: ndarray, along: ndarray) -> list[ndarray]:
         """Stresses along the direction and across: slopes of the energy by the two stretches."""
         ends = [torch.tensor(one, requires_grad=True) for one in (along, across)]
         a, b = (one**2 for one in ends)

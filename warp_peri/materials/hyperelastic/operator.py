@@ -12,6 +12,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 import torch
+from numpy import ndarray
 from numpy.linalg import lstsq
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator
@@ -59,7 +60,7 @@ class HyperelasticMaterial(Record, format="warp_peri.hyperelastic", version=2):
     """
 
     dictionary: Annotated[Hyperelastic, FieldUnits(flat=True)]
-    coefficients: Annotated[np.ndarray, FieldUnits(stress=1)]
+    coefficients: Annotated[ndarray, FieldUnits(stress=1)]
     spacing: Length
     stretch: Annotated[float | None, FieldUnits(positive=True)] = None
     provenance: Values = field(default_factory=dict)
@@ -79,7 +80,7 @@ class HyperelasticMaterial(Record, format="warp_peri.hyperelastic", version=2):
         return replace(self, dictionary=self.dictionary.with_terms(terms), coefficients=values)
 
     def on(
-        self, points: PointsLike, *, thickness: np.ndarray | None = None
+        self, points: PointsLike, *, thickness: ndarray | None = None
     ) -> HyperelasticSheetOperator:
         """Build the operator on a lattice; thickness of each node [N] or an even sheet (H18)."""
         return HyperelasticSheetOperator(self, points, thickness=thickness)
@@ -135,11 +136,7 @@ class HyperelasticSheetOperator(Swept):
     parts = 9  # bonds, of which a site sees three numbers
 
     def __init__(
-        self,
-        model: HyperelasticMaterial,
-        points: PointsLike,
-        *,
-        thickness: np.ndarray | None = None,
+        self, model: HyperelasticMaterial, points: PointsLike, *, thickness: ndarray | None = None
     ) -> None:
         self.points = model.own_nodes(points)
         self.lattice = SheetLattice(self.points, model.dictionary.reach)
@@ -151,14 +148,14 @@ class HyperelasticSheetOperator(Swept):
                 raise InputError("thickness: expected finite numbers > 0")
         self._take(model, thickness)
 
-    def _take(self, model: HyperelasticMaterial, thickness: np.ndarray | None) -> None:
+    def _take(self, model: HyperelasticMaterial, thickness: ndarray | None) -> None:
         self.model, self.thickness = model, thickness
         self.learnable, self._last = {"coefficients": model.coefficients}, None
         self.active = self._energies(model.coefficients)
         self.size = max((sites.S.nnz for sites, _ in self.active), default=1)
 
     def changed(
-        self, model: HyperelasticMaterial, thickness: np.ndarray | None
+        self, model: HyperelasticMaterial, thickness: ndarray | None
     ) -> HyperelasticSheetOperator:
         """The operator of another material of the same reach, or thickness, on the same lattice."""
         kind = type(self)
@@ -167,7 +164,7 @@ class HyperelasticSheetOperator(Swept):
         other._take(model, thickness)
         return other
 
-    def _energies(self, c: np.ndarray) -> Active:
+    def _energies(self, c: ndarray) -> Active:
         """The energies whose coefficient is not zero."""
         found = defaultdict[Any, list[Energy]](list)
         for number, energy in enumerate(self.model.dictionary.energies):
@@ -188,15 +185,15 @@ class HyperelasticSheetOperator(Swept):
         """∂U/∂q over h², shape [Q, n, S]; with a graph of q, which becomes a leaf."""
         return grad(self._stored(sites, each, q.requires_grad_()).sum(), q, create_graph=graph)[0]
 
-    def _tension(self, e: np.ndarray, active: Active) -> np.ndarray:
+    def _tension(self, e: ndarray, active: Active) -> ndarray:
         """Tension of bonds e [pairs, S] by the energies, over ξ + η."""
         return sum((s.pull(self._slope(s, each, s.seen(e))) for s, each in active), 0 * e)
 
-    def strain(self, u: ArrayLike) -> np.ndarray:
+    def strain(self, u: ArrayLike) -> ndarray:
         """Nodal Green strain E11, E22, 2 E12, (H3), shape [..., N, 3]; zero near the edge."""
         sites = self.lattice.sites()
 
-        def sweep(u: np.ndarray) -> np.ndarray:
+        def sweep(u: ndarray) -> ndarray:
             E = np.zeros((*u.shape[:2], 3))
             E[:, sites.pair[0]] = sites.seen(self.lattice.stretched(u)[1]).permute(2, 1, 0)
             return E
@@ -208,7 +205,7 @@ class HyperelasticSheetOperator(Swept):
         x, y, shear = np.moveaxis(self.strain(u), -1, 0)
         return float(np.sqrt(1 + x + y + np.hypot(x - y, shear)).max())
 
-    def folds(self, u: np.ndarray) -> float:
+    def folds(self, u: ndarray) -> float:
         """Number of energy corners at interior nodes that a field [N, 2] turns over, unseen by
         functions of C; infinite where the nodal strain folds, its det C below SMALLEST_AREA."""
         Y, e = self.lattice.stretched(self._one(u)[None])
@@ -217,10 +214,10 @@ class HyperelasticSheetOperator(Swept):
         sides = [(s.S @ Y[..., 0]).reshape(3, -1, 2) for s, _ in self.active if s.corner]
         return sum(int((x[:, 0] * y[:, 1] <= x[:, 1] * y[:, 0]).sum()) for x, y, _ in sides)
 
-    def nodal_energy(self, u: ArrayLike) -> np.ndarray:
+    def nodal_energy(self, u: ArrayLike) -> ndarray:
         """Energy of every node and the bonds that begin there, over h², shape [..., N]."""
 
-        def sweep(u: np.ndarray) -> np.ndarray:
+        def sweep(u: ndarray) -> ndarray:
             e, total = self.lattice.stretched(u)[1], np.zeros(u.shape[:2])
             for sites, each in self.active:
                 total[:, sites.pair[0]] += self._stored(sites, each, sites.seen(e)).numpy().T
@@ -228,24 +225,24 @@ class HyperelasticSheetOperator(Swept):
 
         return self._swept(sweep, u)
 
-    def energy(self, u: ArrayLike) -> np.ndarray:
+    def energy(self, u: ArrayLike) -> ndarray:
         """Elastic energy U, (H1) [stress · area], shape [...], up to the collar's own part."""
         return np.asarray(self.nodal_energy(u).sum(axis=-1) * self.points.spacing**2)
 
-    def everywhere(self, u: ArrayLike) -> np.ndarray:
+    def everywhere(self, u: ArrayLike) -> ndarray:
         """Force at all nodes: derivative of U by displacement over h², (H8), shape [..., N, 2]."""
 
-        def sweep(u: np.ndarray) -> np.ndarray:
+        def sweep(u: ndarray) -> ndarray:
             Y, e = self.lattice.stretched(u)
             return self.lattice.at_ends(self._tension(e, self.active)[:, None] * Y)
 
         return self._swept(sweep, u)
 
-    def force(self, u: ArrayLike) -> np.ndarray:
+    def force(self, u: ArrayLike) -> ndarray:
         """Force on the interior nodes [stress / length], shape [..., I, 2]."""
         return self.everywhere(u)[..., self.interior, :]
 
-    def _curved(self, u: np.ndarray) -> Any:
+    def _curved(self, u: ndarray) -> Any:
         """Deformed bonds and their tension at fields, and of each energy ∂²U/∂q² over h², [Q, Q, n,
         S]; kept of the last fields, whose products follow one another."""
         last = self._last
@@ -260,10 +257,10 @@ class HyperelasticSheetOperator(Swept):
             last = self._last = u.copy(), Y, tension, curves  # type: ignore[assignment]
         return last[1:]
 
-    def _product(self, u: ArrayLike, v: ArrayLike) -> np.ndarray:
+    def _product(self, u: ArrayLike, v: ArrayLike) -> ndarray:
         """K v, the derivative of the force along v, (H10), on all nodes, shape [..., N, 2]."""
 
-        def sweep(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        def sweep(u: ndarray, v: ndarray) -> ndarray:
             (Y, tension, curves), away = self._curved(u), self.lattice.differences(v)
             along, all_of = np.einsum("pas,pas->ps", Y, away), zip(self.active, curves)
             pulls = (s.pull((H * s.seen(along).numpy()).sum(axis=1)) for (s, _), H in all_of)
@@ -273,20 +270,20 @@ class HyperelasticSheetOperator(Swept):
 
         return self._swept(sweep, u, v)
 
-    def jvp(self, u: ArrayLike, v: ArrayLike) -> np.ndarray:
+    def jvp(self, u: ArrayLike, v: ArrayLike) -> ndarray:
         """Derivative of the force at u along v, shape [..., I, 2]."""
         return self._product(u, v)[..., self.interior, :]
 
-    def vjp(self, u: ArrayLike, w: ArrayLike) -> np.ndarray:
+    def vjp(self, u: ArrayLike, w: ArrayLike) -> ndarray:
         """Transposed tangent, which is symmetric, times w, on all nodes [..., N, 2]."""
         return self._product(u, self.on_all(w))
 
-    def _one(self, u: Any) -> np.ndarray:
+    def _one(self, u: Any) -> ndarray:
         """One field [N, 2], which may have run away; InputError for others."""
         arguments.check_shape("u", field := plain("u", u), self.shape)
         return field
 
-    def interior_tangent(self, u: np.ndarray) -> sp.csr_array:
+    def interior_tangent(self, u: ndarray) -> sp.csr_array:
         """Tangent between interior nodes at a field (H10), sparse [2 I, 2 I]."""
         with own_torch(), one_thread(3 * len(self.points.x) < FEW):
             Y, tension, curves = self._curved(self._one(u)[None])
@@ -300,11 +297,11 @@ class HyperelasticSheetOperator(Swept):
         turned = inner @ sp.diags_array(tension[:, 0]) @ inner.T
         return B.T.tocsr() @ (H @ B) + sp.kron(turned, np.eye(2), format="csr")
 
-    def factors(self, u: np.ndarray, shifts: bool = False) -> tuple[Inner | None, bool]:
+    def factors(self, u: ndarray, shifts: bool = False) -> tuple[Inner | None, bool]:
         """Inverse of the tangent at a field; see SheetLattice.factors."""
         return self.lattice.factors(self.interior_tangent(u), shifts)
 
-    def smallest_eigenvalue(self, u: np.ndarray) -> float:
+    def smallest_eigenvalue(self, u: ndarray) -> float:
         """Smallest eigenvalue of the tangent between interior nodes at u [stress / length²]; where
         not factorised a number of that sign, no larger if positive."""
         size, u = 2 * len(self.interior), checked("u", u, float, self.shape)
@@ -322,7 +319,7 @@ class HyperelasticSheetOperator(Swept):
         ratio = end_of_spectrum(K, "SA", M=L, Minv=Minv, tol=1e-2, maxiter=2000)
         return softest(size // 2, self.rough, 1e-4) * ratio
 
-    def features(self, u: ArrayLike, moving: Sequence[int] = ()) -> np.ndarray:
+    def features(self, u: ArrayLike, moving: Sequence[int] = ()) -> ndarray:
         """Derivatives of the force by all coefficients, then by angles and exponents of the fibres
         at M indices, shape [..., I, 2, K + 2 M]."""
         K, fibres = len(self.model.dictionary), list(moving)
@@ -332,7 +329,7 @@ class HyperelasticSheetOperator(Swept):
             column = K + fibres.index(e.number)
             chosen += [(s, e, "angle", column), (s, e, "exponent", column + len(fibres))]
 
-        def sweep(u: np.ndarray) -> np.ndarray:
+        def sweep(u: ndarray) -> ndarray:
             Y, e = self.lattice.stretched(u)
             forces = np.zeros((len(u), len(self.interior), 2, K + 2 * len(fibres)))
             for sites, energy, by, column in chosen:
@@ -347,7 +344,7 @@ class HyperelasticSheetOperator(Swept):
 
         return self._swept(sweep, u)
 
-    def by_thickness(self, u: ArrayLike, slopes: np.ndarray) -> np.ndarray:
+    def by_thickness(self, u: ArrayLike, slopes: ndarray) -> ndarray:
         """Derivative of the force by P thickness numbers, [..., I, 2, P]; slopes [N, P]."""
         sheets = (self.changed(self.model, each) for each in slopes.T)
         return np.stack([sheet.force(u) for sheet in sheets], axis=-1)
@@ -357,17 +354,17 @@ class HyperelasticSheetOperator(Swept):
         made = renumbered(self.learnable, numbers)
         return self.changed(replace(self.model, **made, provenance={}), self.thickness)
 
-    def by_numbers(self, name: str, u: np.ndarray, w: np.ndarray) -> np.ndarray:
+    def by_numbers(self, name: str, u: ndarray, w: ndarray) -> ndarray:
         """Derivatives of Σ w · force(u) by the coefficients [K], for fields [S, N, 2]."""
         u, w = self.pairs(u, w)
         return np.tensordot(w, self.features(u), 3)
 
-    def stress(self, u: ArrayLike) -> np.ndarray:
+    def stress(self, u: ArrayLike) -> ndarray:
         """First Piola stress P = ½ Σ t (ξ + η)⊗ξ of a node's bonds, (H16), shape [..., I, 2, 2], of
         an uneven sheet over a thickness of one; corners carry theirs at their apex."""
         ends, nodal = abs(self.lattice.ends) / 2, [(s, e) for s, e in self.active if not s.corner]
 
-        def sweep(u: np.ndarray) -> np.ndarray:
+        def sweep(u: ndarray) -> ndarray:
             Y, e = self.lattice.stretched(u)
             bonds = Y[:, :, None] * self.lattice.xi[:, None, :, None]  # (ξ + η)⊗ξ
             pull = self._tension(e, nodal)[:, None, None] * bonds
@@ -381,7 +378,7 @@ class HyperelasticSheetOperator(Swept):
 
         return self._swept(sweep, u)
 
-    def warn_beyond(self, u: np.ndarray) -> None:
+    def warn_beyond(self, u: ndarray) -> None:
         """Warn when fields are stretched beyond the data that the solid was learned from."""
         known = self.model.stretch
         if known and len(u) and (largest := self.largest_stretch(u)) - 1 > BEYOND * (known - 1):
@@ -402,7 +399,7 @@ class HyperelasticSheetOperator(Swept):
         self.warn_beyond(solution.u)
         return solution
 
-    def errors(self, samples: Samples, near: np.ndarray | None = None) -> Values:
+    def errors(self, samples: Samples, near: ndarray | None = None) -> Values:
         """Relative ℓ2 errors on the interior, (30) and (31), of samples on the operator's points.
 
         `near` are fields of other loads, shape [M, N, 2]: each search begins at their combination

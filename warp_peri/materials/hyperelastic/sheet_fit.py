@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 from numpy.linalg import lstsq, norm
 from scipy.ndimage import binary_dilation, binary_erosion
 from scipy.optimize import lsq_linear
@@ -70,7 +71,7 @@ class Sections:
 
     def stress(
         self, n: int, solid: HyperelasticMaterial, thickness: ThicknessField | None
-    ) -> np.ndarray:
+    ) -> ndarray:
         """Pull over width and mean thickness on every line of frame n, [L]; without deviations."""
         c, of_nodes = solid.coefficients.copy(), None
         c[: solid.dictionary.first_term] = 0.0
@@ -122,12 +123,12 @@ class SheetFit:
     """
 
     material: HyperelasticMaterial
-    errors: np.ndarray
+    errors: ndarray
     history: list[float]
     frames_left_out: list[int]
     thickness: ThicknessField | None = None
     others: list[SheetFit] = field(default_factory=list)
-    fields: np.ndarray | None = None
+    fields: ndarray | None = None
     scale: float = 1.0
     scatter: float = 0.0
     guaranteed: bool = True
@@ -155,12 +156,12 @@ class Place:
         equations: by sample, rows whose squared sum is the loss: slopes, and errors as they are.
     """
 
-    x: np.ndarray
-    fields: np.ndarray
-    slopes: dict[int, np.ndarray]
-    equations: dict[int, np.ndarray]
+    x: ndarray
+    fields: ndarray
+    slopes: dict[int, ndarray]
+    equations: dict[int, ndarray]
 
-    def errors(self, change: Any = 0.0) -> np.ndarray:
+    def errors(self, change: Any = 0.0) -> ndarray:
         """Relative errors of the samples after a change of the unknowns, to first order."""
         moved = np.append(change + 0 * self.x, 1.0)
         return np.array([norm(rows @ moved) for rows in self.equations.values()])
@@ -222,7 +223,7 @@ class Search:
         self.reach = np.concatenate([np.full(K, np.inf), turns, np.minimum(none, THICKEN)])
         self.rest = np.append(fibres, thick)
 
-    def scaled(self, c: np.ndarray) -> np.ndarray:
+    def scaled(self, c: ndarray) -> ndarray:
         """The coefficients scaled to an initial stiffness of one."""
         size = float(self.measure @ c)
         if not size > 0:
@@ -244,7 +245,7 @@ class Search:
             c = c if self.by_load else self.scaled(c)
         else:
             x = np.append(self.scaled(self.measure), self.rest)
-            none, rows = ((0, 0), (0, len(self.rest))), dict[int, np.ndarray]()
+            none, rows = ((0, 0), (0, len(self.rest))), dict[int, ndarray]()
             for n, u in enumerate(fields):
                 F = np.pad(self.op.features(u).reshape(-1, K), none)  # fibres and thickness stay
                 rows[n] = self._rows(n, F, F @ x)
@@ -255,19 +256,19 @@ class Search:
             raise NoEquilibriumError("no frame has an equilibrium with the first coefficients")
         return place
 
-    def _rows(self, n: int, J: np.ndarray, gap: np.ndarray) -> np.ndarray:
+    def _rows(self, n: int, J: ndarray, gap: ndarray) -> ndarray:
         """Equations J dx + gap = 0 of a sample, in its error, as few as have the same squares."""
         weight = self.weight[n]
         return np.column_stack(compressed(J * weight[:, None], gap * weight))
 
-    def sheet(self, x: np.ndarray) -> tuple[HyperelasticMaterial, ThicknessField | None]:
+    def sheet(self, x: ndarray) -> tuple[HyperelasticMaterial, ThicknessField | None]:
         """The material and the thickness of the unknowns x."""
         K, thickness = len(self.measure) + 2 * len(self.moving), self.thickness
         if thickness is not None:
             thickness = replace(thickness, numbers=x[K:])
         return with_numbers(self.op.model, self.moving, x[:K]), thickness
 
-    def step(self, place: Place, damping: float, left: Sequence[int] = ()) -> np.ndarray:
+    def step(self, place: Place, damping: float, left: Sequence[int] = ()) -> ndarray:
         """Change of the unknowns that meets the equations best between their bounds, some samples
         left out, damped by Levenberg; without loads the initial stiffness stays one."""
         rows = np.concatenate([one for n, one in place.equations.items() if n not in left])
@@ -292,20 +293,20 @@ class Search:
             found[:K] = self.scaled(np.maximum(found[:K], 0.0))
         return np.asarray(found - x)
 
-    def moved(self, place: Place, change: np.ndarray) -> Place:
+    def moved(self, place: Place, change: ndarray) -> Place:
         """State of the search after a change of the unknowns."""
         fields = place.fields.copy()
         for n, J in place.slopes.items():
             fields[n, self.inner] += (J @ change).reshape(-1, 2)
         return self.settled(place.x + change, fields, place.equations)
 
-    def settled(self, x: np.ndarray, fields: np.ndarray, samples: Iterable[int]) -> Place:
+    def settled(self, x: ndarray, fields: ndarray, samples: Iterable[int]) -> Place:
         """State with the equations of samples: by load at their fields, else in equilibria from
         fields near them, and none without one."""
         (solid, thickness), fields, K = self.sheet(x), fields.copy(), len(self.measure)
         nodes = self.op.points.x
         op = self.op.changed(solid, None if thickness is None else thickness.at(nodes))
-        slopes, equations = dict[int, np.ndarray](), dict[int, np.ndarray]()
+        slopes, equations = dict[int, ndarray](), dict[int, ndarray]()
         for n in samples:
             u, inverse = (fields[n], None) if self.by_load else self._rest(op, fields[n], n)
             if u is None:
@@ -323,7 +324,7 @@ class Search:
             equations[n] = self._rows(n, J, at - self.target[n])
         return Place(x, fields, slopes, equations)
 
-    def _rest(self, op: HyperelasticSheetOperator, start: np.ndarray, n: int) -> tuple[Any, Any]:
+    def _rest(self, op: HyperelasticSheetOperator, start: ndarray, n: int) -> tuple[Any, Any]:
         """Equilibrium of a frame near a start and the inverse of a tangent there, or None."""
         near = op.factors(start)[0] if op.folds(start) < np.inf else None
         u, record = Descent(op).find(0 * start[self.inner], self.data[n], SETTLED, start, near)
