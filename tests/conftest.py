@@ -1,17 +1,17 @@
 """Data made once for the whole run, however many processes it is spread over."""
 
 import gc
-import os
-import re
 from hashlib import sha256
 from importlib.metadata import version
+from os import environ
 from pathlib import Path
+from re import MULTILINE, findall
 
 import pytest
 from filelock import FileLock
 
-if "PYTEST_XDIST_WORKER" in os.environ:  # workers share the cores; torch and BLAS read this once
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
+if "PYTEST_XDIST_WORKER" in environ:  # workers share the cores; torch and BLAS read this once
+    environ.setdefault("OMP_NUM_THREADS", "1")
 
 import joblib  # which loads BLAS
 
@@ -38,7 +38,7 @@ def pytest_collection_modifyitems(items):
 @pytest.fixture(scope="session", autouse=True)
 def work_stays_in_its_process():
     """What spreads over processes runs in turn: the cores are taken, and each process imports."""
-    if "PYTEST_XDIST_WORKER" not in os.environ:
+    if "PYTEST_XDIST_WORKER" not in environ:
         yield
         return
     with joblib.parallel_config(backend="sequential"):
@@ -68,7 +68,7 @@ def threads():
 def makers(name):
     """A file of tools/ and all that it imports of them: what the data set depends on."""
     path = TOOLS / f"{name}.py"
-    others = re.findall(r"^from tools\.(\w+)", path.read_text("utf-8"), re.MULTILINE)
+    others = findall(r"^from tools\.(\w+)", path.read_text("utf-8"), MULTILINE)
     return {path}.union(*map(makers, others))
 
 
@@ -81,7 +81,7 @@ def graphene(tmp_path_factory, pytestconfig) -> Path:
     from tools.make_graphene import make_graphene  # which loads much that a controller needs not
 
     folder = tmp_path_factory.getbasetemp()
-    if "PYTEST_XDIST_WORKER" in os.environ:
+    if "PYTEST_XDIST_WORKER" in environ:
         folder = folder.parent  # that of all workers
     path, kept = folder / "data" / "graphene_0K.h5", folder
     if hasattr(pytestconfig, "cache"):

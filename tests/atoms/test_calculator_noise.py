@@ -8,7 +8,7 @@ from ase.build import bulk
 from ase.calculators.calculator import Calculator
 from ase.calculators.emt import EMT
 from ase.neighborlist import neighbor_list
-from numpy.linalg import norm
+from numpy.linalg import eigh, inv, norm
 from numpy.random import default_rng
 
 import warp_peri as wp
@@ -188,7 +188,7 @@ def test_strains_tell_moduli_and_not_how_all_waves_change_with_the_displacement(
     _, free = every.rules()
     each = free @ free.T * (0.05 * np.tensordot(every.basis, phi, 4))
     each = every.values(np.tensordot(each.T, every.basis, 1))
-    k = np.array([[0.5, 0.5, 0], [0.5, 0, 0]]) @ (2 * np.pi * np.linalg.inv(cell.cell).T)
+    k = np.array([[0.5, 0.5, 0], [0.5, 0, 0]]) @ (2 * np.pi * inv(cell.cell).T)
     for spread in (each, None):
         share = []
         for _ in range(20):
@@ -197,7 +197,7 @@ def test_strains_tell_moduli_and_not_how_all_waves_change_with_the_displacement(
             C = true.nearest_elastic(CUBES)[0]
             found = replace(atoms, doubt=other[None], spread=spread)
             told, _, _ = joined(found, CUBES, C, 1e-4 * C[None])
-            size, waves = np.linalg.eigh(told.dynamical(k))
+            size, waves = eigh(told.dynamical(k))
             off = np.einsum("kai,kab,kbi->ki", waves.conj(), true.dynamical(k), waves).real - size
             error = [told.stiffness_error(q, w.T.reshape(3, 1, 3)) for q, w in zip(k, waves)]
             share.append(np.abs(off) < 2 * np.array(error))

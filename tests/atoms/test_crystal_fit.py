@@ -152,8 +152,7 @@ def test_a_sheet_across_a_face_is_put_together_turned_and_made_small():
     with refused("structure: expected a sheet across z"):
         at_rest(sheet, made, hold=["xx"])
     assert found.thickness == approx(3.118 + 3.6, abs=0.01)
-    edge = found.cell.cell.lengths()[0]
-    near(usual_spacing(found.cell, True), np.sqrt(3) * edge, 1e-6)
+    near(usual_spacing(found.cell, True), np.sqrt(3) * found.cell.cell.lengths()[0], 1e-6)
 
 
 def test_a_solid_is_turned_to_axes_that_nodes_share():

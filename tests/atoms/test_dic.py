@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.linalg import norm
+from numpy.linalg import inv, lstsq, norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -72,8 +72,7 @@ def test_points_lost_in_single_frames_are_missing_there_alone(frame_of, radius):
 
 def gradient(samples):
     """That of a displacement that is linear, [displacement, position]."""
-    design = np.c_[np.ones(len(samples.x)), samples.x]
-    return np.linalg.lstsq(design, samples.u[0], rcond=None)[0][1:].T
+    return lstsq(np.c_[np.ones(len(samples.x)), samples.x], samples.u[0], rcond=None)[0][1:].T
 
 
 def told(path, header, columns, *, encoding="utf-8", **options):
@@ -198,7 +197,7 @@ def test_positions_that_nothing_tells_are_asked_for(frame_of):
     with refused('positions="reference" or "current" says which'):
         dic_to_lattice(frames, spacing=2.5, radius=2.5)
     found = gradient(dic_to_lattice(frames, spacing=2.5, radius=2.5, positions="current"))
-    assert_allclose(found, GRADIENT @ np.linalg.inv(np.eye(2) - GRADIENT), atol=1e-9)
+    assert_allclose(found, GRADIENT @ inv(np.eye(2) - GRADIENT), atol=1e-9)
 
 
 def folder_of(path, frames):

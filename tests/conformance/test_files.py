@@ -1,12 +1,12 @@
 """What the file of every material must do: be whole, be believed only where it is proven."""
 
 import contextlib
-import copy
-import json
 import shutil
 import warnings
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cache
+from json import dumps
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
@@ -73,7 +73,7 @@ def places(content, path=()):
 
 def changed(content, path, value):
     """A copy with another value at a place."""
-    other = part = copy.deepcopy(content)
+    other = part = deepcopy(content)
     for key in path[:-1]:
         part = part[key]
     part[path[-1]] = value
@@ -101,7 +101,7 @@ bare = lambda content: deep(
 
 
 def read(path, content):
-    path.write_text(json.dumps(content))
+    path.write_text(dumps(content))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return wp.load(path)

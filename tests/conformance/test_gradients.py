@@ -1,8 +1,8 @@
 """Torch through every material: gradients, second ones, tangents, batches, precisions, copies."""
 
-import copy
-import pickle
+from copy import copy, deepcopy
 from dataclasses import replace
+from pickle import dumps, loads
 from types import SimpleNamespace
 
 import numpy as np
@@ -112,8 +112,7 @@ def test_batches_and_precisions(op):
     (by_single,) = grad(lower.square().sum(), single)
     assert by_single.dtype == torch.float32
     near(by_single, by_u, 1e-3)
-    strided = u.detach().movedim(0, -1).contiguous().movedim(-1, 0)
-    assert torch.equal(op(strided), force)
+    assert torch.equal(op(u.detach().movedim(0, -1).contiguous().movedim(-1, 0)), force)
     short = u[..., :-1, :] if len(op.shape) == 2 else u[..., :-1]
     wrong = short, u[0, 0, 0], u[:0], u.detach().long()
     all_refused(op, "u: expected float64 of shape", wrong)
@@ -153,7 +152,7 @@ def test_a_solve_changes_nothing_and_copies_are_made_anew(op):
     given = 0 * u, 0.01 * u
     wp.solve(op, wp.Periodic(op.points, before) if closed else wp.Dirichlet(op.points, *given))
     assert np.array_equal(op(u), before)
-    for other in (copy.copy(op), copy.deepcopy(op), pickle.loads(pickle.dumps(op))):
+    for other in (copy(op), deepcopy(op), loads(dumps(op))):
         assert type(other) is type(op)
         assert other is not op
         near(other(u), op(u), 0)
@@ -166,10 +165,10 @@ def test_a_copy_keeps_neither_samples_nor_what_was_changed_since():
     op = law.on(points, kappa=kappa)
     u = field(op)
     kappa[:] = 2.0
-    near(copy.deepcopy(op)(u), op(u), 0)
+    near(deepcopy(op)(u), op(u), 0)
     points = lattice(4, 3.0)
     samples = wp.Samples(points, np.zeros((100, *points.x.shape)))
-    plain, of_samples = (pickle.dumps(LAWS["LPS"].material().on(on)) for on in (points, samples))
+    plain, of_samples = (dumps(LAWS["LPS"].material().on(on)) for on in (points, samples))
     assert len(of_samples) == len(plain)
 
 
@@ -184,7 +183,7 @@ def test_what_is_changed_before_a_backward_pass_is_told():
 
 @parametrize("name", [*MODULES, "neural operator"])
 def test_a_module_learns_the_numbers_of_its_material_and_is_saved_and_copied(name, tmp_path):
-    op = copy.deepcopy(operator(name))
+    op = deepcopy(operator(name))
     module, u = wp.TorchModule(op, op.points), tensor(op).requires_grad_()
     if name in MODULES:
         assert {key for key, _ in module.named_parameters()} == MODULES[name]
@@ -195,10 +194,10 @@ def test_a_module_learns_the_numbers_of_its_material_and_is_saved_and_copied(nam
     with torch.no_grad():
         for number in module.parameters():
             number.mul_(1.01)
-    other, u = wp.TorchModule(copy.deepcopy(operator(name)), op.points), u.detach()
+    other, u = wp.TorchModule(deepcopy(operator(name)), op.points), u.detach()
     other.load_state_dict(module.state_dict())
     torch.save(module, tmp_path / "m.pt")
-    for one in (other, copy.deepcopy(module), torch.load(tmp_path / "m.pt", weights_only=False)):
+    for one in (other, deepcopy(module), torch.load(tmp_path / "m.pt", weights_only=False)):
         assert torch.equal(one(u), module(u))
     assert torch.equal(torch.as_tensor(module(u.numpy())), module(u))
     near(module.float()(u.float()).detach(), other(u).detach(), 1e-5)
@@ -256,7 +255,7 @@ def test_what_would_lose_a_gradient_says_so():
     number = double(0.5)
     leaf, learns = u.clone().requires_grad_(), number.clone().requires_grad_()
     module, on = wp.TorchModule(op, points), lambda u: wp.Dirichlet(points, None, u)
-    broken = wp.TorchModule(copy.deepcopy(op), points)
+    broken = wp.TorchModule(deepcopy(op), points)
     with torch.no_grad():
         broken.mu.fill_(-1.0)
     cut, solid = wp.Cracked(points, u=leaf, cracks=CRACK), kernel("1/r", 3.0)

@@ -1,7 +1,7 @@
 """Nothing decides on an absolute stiffness, length or force: a solid a million times as soft or as
 large gives the same strains."""
 
-import dataclasses
+from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
 import pytest
@@ -40,16 +40,16 @@ def scale(request):
 
 def named(value, units):
     """The same numbers under other units, those of parts too."""
-    if not dataclasses.is_dataclass(value):
+    if not is_dataclass(value):
         value.units = units
         return value
     parts = {
         field.name: named(part, units)
-        for field in dataclasses.fields(value)
+        for field in fields(value)
         if hasattr(part := getattr(value, field.name), "in_units")
     }
-    own = {"units": units} if "units" in {field.name for field in dataclasses.fields(value)} else {}
-    return dataclasses.replace(value, **parts, **own)
+    own = {"units": units} if "units" in {field.name for field in fields(value)} else {}
+    return replace(value, **parts, **own)
 
 
 def resized(material, scale):
@@ -121,7 +121,7 @@ def test_a_body_with_free_edges(make, scale):
 def test_another_lattice(scale):
     """A kernel is fitted there, whose conditions are those of the solid, however soft."""
     bound = wp.certify(SOLID, spacing=1.0).figures()
-    material = dataclasses.replace(SOLID, certificate={"1": bound})
+    material = replace(SOLID, certificate={"1": bound})
     other, length, stress = resized(material, scale)
     points = lattice(6, 5.0, 0.5)
     made, there = loaded(material.on(points), uneven(points, 1)), larger(points, length)

@@ -20,8 +20,7 @@ LAM, MU = 0.4, 0.9
 
 def cubic(E, *, lam, mu, more):
     t, square = E.diagonal(dim1=-2, dim2=-1).sum(-1), (E * E).sum((-1, -2))
-    third = t**3 + t * square + E[..., 0, 1] ** 2 * E[..., 0, 0]
-    return saint_venant(E, lam, mu) + more * third
+    return saint_venant(E, lam, mu) + more * (t**3 + t * square + E[..., 0, 1] ** 2 * E[..., 0, 0])
 
 
 def one_sided(d):

@@ -78,8 +78,7 @@ def test_a_plane_flow_is_of_second_order_and_a_wall_moves_it():
 
 def test_a_learned_shear_law_moves_plates_as_dumbbells_do():
     K = polymer.held(polymer.shear(np.linspace(-4, 4, 9)), 200)
-    record = simulate(Dumbbells(9, 10_000), K, 0.025)
-    law = polymer.learn_shear(record, window=2, outside="allow")
+    law = polymer.learn_shear(simulate(Dumbbells(9, 10_000), K, 0.025), window=2, outside="allow")
     flow = PlaneFlow(1.0, 10.0, 32, top=np.sin)
     run = lambda fluid: polymer.run_plane(flow, fluid, until=8.0, dt=0.02, every=20).u
     assert relative_error(run(law), run(MAXWELL)) < 0.02

@@ -1,9 +1,9 @@
 """Files are written whole or not at all, and read back by other tools; units are the file's."""
 
-import json
 import os
-import stat
 import sys
+from json import dumps
+from stat import S_IMODE, S_ISCHR
 
 import meshio
 import numpy as np
@@ -29,7 +29,7 @@ def test_a_file_appears_whole_under_its_name_with_common_rights(tmp_path):
     write_text(path, "β\n")
     mask = os.umask(0)
     os.umask(mask)
-    assert stat.S_IMODE(path.stat().st_mode) == 0o666 & ~mask
+    assert S_IMODE(path.stat().st_mode) == 0o666 & ~mask
     with whole_file(path) as temporary:
         temporary.write_text("new")
         assert path.read_text(encoding="utf-8") == "β\n"
@@ -61,7 +61,7 @@ def test_a_link_stays_and_what_is_no_regular_file_is_left_alone(tmp_path):
         with refused(r": (expected a file or a new name, got|cannot be)"):
             write_text(path, "text")
         assert os.lstat(path) == before
-    assert stat.S_ISCHR(os.stat(os.devnull).st_mode)
+    assert S_ISCHR(os.stat(os.devnull).st_mode)
 
 
 def test_files_without_units_say_that_they_are_taken_for_granted(tmp_path):
@@ -69,11 +69,11 @@ def test_files_without_units_say_that_they_are_taken_for_granted(tmp_path):
     DiffusionMaterial(3.0, 2.0, 1.3, [1.0, 0.4], ("mm", "GPa")).save(path)
     content = of_json(path)
     bare = {key: value for key, value in content.items() if not key.endswith(("_unit", "sha256"))}
-    path.write_text(json.dumps(bare))
+    path.write_text(dumps(bare))
     with warned(r"kept.json: it names no units: taken as Å and TPa"):
         found = load(path)
     assert found.units == ("angstrom", "TPa")
-    path.write_text(json.dumps({**bare, "length_unit": "mm"}))
+    path.write_text(dumps({**bare, "length_unit": "mm"}))
     with refused("stress_unit: expected one of"):
         load(path)
 

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.linalg import norm
+from numpy.linalg import lstsq, norm
 from numpy.random import default_rng
 
 from tests.crystal.crystals import dispersive
@@ -103,7 +103,7 @@ def test_forces_that_grow_with_the_cube_are_nonlinear_and_pairs_of_bonds_dispers
     assert diagnose(MODEL, with_force(weak, cubic)).shares["nonlinearity"] < 0.05
     near, far = families(samples)["dispersion"]
     far, near = far[..., -1], near.reshape(far[..., -1].size, -1)
-    far = far - (near @ np.linalg.lstsq(near, far.ravel(), rcond=None)[0]).reshape(far.shape)
+    far = far - (near @ lstsq(near, far.ravel(), rcond=None)[0]).reshape(far.shape)
     assert diagnose(MODEL, with_force(samples, far)).shares["dispersion"] > 0.7
 
 

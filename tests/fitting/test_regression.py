@@ -1,6 +1,7 @@
 """Least squares under inequalities, and the coordinates of the linear solid's optimum."""
 
 import numpy as np
+from numpy.linalg import lstsq
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
@@ -28,7 +29,7 @@ def test_the_optimum_is_one():
     met = gap < 1e-8
     assert met.any()
     slope = A.T @ (A @ x - y)
-    carried, *_ = np.linalg.lstsq(G[met].T, slope, rcond=None)
+    carried, *_ = lstsq(G[met].T, slope, rcond=None)
     assert_allclose(G[met].T @ carried, slope, atol=1e-8)
     assert carried.min() > -1e-8
 

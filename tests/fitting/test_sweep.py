@@ -1,7 +1,7 @@
 """Algorithm 2: choices among trials, and a sweep that resumes."""
 
-import json
 from dataclasses import replace
+from json import dumps
 
 import numpy as np
 import pytest
@@ -88,7 +88,7 @@ def test_a_trial_is_not_believed_as_it_stands(sets, tmp_path, monkeypatch):
     bound["certificate"]["1"]["symbol_bound"] *= 10
     del better["sha256"], bound["sha256"]
     for told in (better, bound, another):
-        one.write_text(json.dumps(told))
+        one.write_text(dumps(told))
         assert sweep(*sets, tmp_path, **options).trials == first
     with monkeypatch.context() as patch:
         patch.setattr(trials, "_mark", lambda *_: "known")
@@ -96,7 +96,7 @@ def test_a_trial_is_not_believed_as_it_stands(sets, tmp_path, monkeypatch):
             told = of_json(other)
             del told["sha256"]
             told["provenance"]["sweep"], told["errors"]["E_u"]["val"] = "known", wrong
-            other.write_text(json.dumps(told))
+            other.write_text(dumps(told))
             assert (sweep(*sets, tmp_path, **options).trials == first) == (wrong != 0.5)
     (train, val), options = sets, options | {"horizons": (2.0,)}
     there = [replace(each, points=replace(each.points, units=OTHER)) for each in sets]

@@ -2,7 +2,7 @@
 
 import numpy as np
 import warp as wp
-from numpy.linalg import eigvalsh
+from numpy.linalg import det, eigvalsh
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 
@@ -117,7 +117,7 @@ def test_a_polygon_cuts_what_crosses_it():
     body = plate(5, 4, 6, horizon=2.0)
     corners = [(-1.6, 0, -2.3), (1.7, 0, -2.1), (0.2, 0, 2.2)] @ rotation(0.4, 3).T
     a, b, c = corners
-    side = lambda p, q, r, s: np.sign(np.linalg.det(np.stack([q - p, r - p, s - p])))
+    side = lambda p, q, r, s: np.sign(det(np.stack([q - p, r - p, s - p])))
     cut = crossing_bonds(body, corners)
     for node, bond in np.argwhere(body.neighbour >= 0):
         start, end = body.x[node], body.x[body.neighbour[node, bond]]

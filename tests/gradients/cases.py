@@ -66,8 +66,7 @@ def loss(op, fields, options, parameters=None):
     motion = wp.simulate(op, problem, v=fields["v"], **extra, **options)
     total, seen = 0.0, default_rng(1)
     for part in (motion["u"], motion.u, options["step"] * motion.v):
-        seed = torch.from_numpy(seen.normal(size=part.shape))
-        total = total + ((10 * part + seed) * part).sum()
+        total = total + ((10 * part + torch.from_numpy(seen.normal(size=part.shape))) * part).sum()
     return total
 
 

@@ -1,7 +1,7 @@
 """Every gradient of every material: force, solve and simulate against central differences."""
 
-import re
 from pathlib import Path
+from re import MULTILINE, findall
 
 import pytest
 
@@ -65,7 +65,7 @@ def test_a_gradient_is_that_of_differences(verb, name):
 def test_no_material_of_the_library_lacks_its_rows():
     files = Path(wp.__file__).parent.rglob("*.py")
     texts = "".join(path.read_text(encoding="utf-8") for path in files)
-    kinds = set(re.findall(r'^class (\w+)\([^)]*format="warp_peri', texts, re.MULTILINE))
+    kinds = set(findall(r'^class (\w+)\([^)]*format="warp_peri', texts, MULTILINE))
     shown = set()
     for op in map(operator, OPERATORS):
         shown |= {type(one).__name__ for one in (op.model, getattr(op, "home", None))}

@@ -166,8 +166,7 @@ def test_on_a_tape_of_the_user():
     leaves = [torch.tensor(one.numpy(), requires_grad=True) for one in (field, *numbers)]
     Lu = lps_force(operator.bonds, *leaves)
     near(out.numpy(), Lu.detach().numpy(), 0)
-    expected = grad(Lu, leaves, torch.from_numpy(seed))
-    for array, by in zip([field, *numbers], expected):
+    for array, by in zip([field, *numbers], grad(Lu, leaves, torch.from_numpy(seed))):
         assert error(array.grad.numpy(), by.numpy()) <= 1e-14
     operator.launch(field, out)  # no tape: the force alone, of the model's own numbers
     near(out.numpy(), operator(u), 0)
@@ -231,5 +230,4 @@ def test_every_force_is_that_of_lammps_with_its_volumes():
     weight = np.minimum(1.0, 2.0 + 0.5 - classes.r)
     kw, m = weight / classes.r, classes.count @ (weight * classes.r)
     L = assemble(Bonds(points, 2.0), kw, m).operator(BULK - 2 * SHEAR / 3, SHEAR)
-    ours = -(L @ u[there].ravel()).reshape(-1, 3)
-    near(theirs, ours, 1e-5)
+    near(theirs, -(L @ u[there].ravel()).reshape(-1, 3), 1e-5)

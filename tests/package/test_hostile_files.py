@@ -3,14 +3,14 @@
 import bz2
 import gzip
 import io
-import itertools
 import lzma
 import os
 import pickle
-import shutil
 import sys
 import tracemalloc
+from itertools import cycle
 from pathlib import Path
+from shutil import copy
 
 import h5py
 import meshio
@@ -80,7 +80,7 @@ def deep():
 @parametrize(("name", "parse"), PARSERS)
 def test_no_file_runs_or_passes(name, parse, deep, here):
     """Nor a pipe, which would be waited for."""
-    packers = itertools.cycle(PACKERS.items())
+    packers = cycle(PACKERS.items())
     error = ValueError if parse is read_arrays else InputError
     for n, content in enumerate(HOSTILE):
         for ending, packed in (("", bytes), next(packers)):
@@ -147,7 +147,7 @@ def test_a_mesh_names_no_file_elsewhere(place, tmp_path):
     triangles = [("triangle", np.array([[0, 1, 2], [0, 2, 3]]))]
     meshio.write(folder / "m.xdmf", meshio.Mesh(square, triangles))
     assert len(load(folder / "m.xdmf").x) == 4
-    shutil.copy(folder / "m.h5", tmp_path / "secret.h5")
+    copy(folder / "m.h5", tmp_path / "secret.h5")
     with h5py.File(folder / "secret.h5", "w") as file:
         for name in ("data0", "data1"):
             file[name] = h5py.ExternalLink("../secret.h5", name)

@@ -1,13 +1,13 @@
 """Code and commands of the pages run as they are printed, and print what stands below them."""
 
 import ast
-import itertools
 import re
 import runpy
 import shlex
-import shutil
 from glob import glob
+from itertools import chain
 from pathlib import Path
+from shutil import copytree
 from types import SimpleNamespace
 
 import pytest
@@ -102,7 +102,7 @@ def home(tmp_path_factory):
 @parametrize("name", RUN)
 def test_a_page_runs_in_turn_and_prints_what_it_shows(name, home, tmp_path, monkeypatch, capsys):
     """Code in the names of blocks before; of what commands print a tutorial shows some lines."""
-    home = Path(shutil.copytree(home, tmp_path / "home", symlinks=True))
+    home = Path(copytree(home, tmp_path / "home", symlinks=True))
     monkeypatch.chdir(home)
     if name == "tutorials/dumps":
         from examples import own_material
@@ -132,7 +132,7 @@ def test_a_page_runs_in_turn_and_prints_what_it_shows(name, home, tmp_path, monk
 
 
 def test_what_is_typed_runs_here_or_is_there():
-    for line in itertools.chain(*TYPED.values()):
+    for line in chain(*TYPED.values()):
         assert line.startswith("warp-peri ") or re.match(NOT_HERE, line), line
         if script := re.match(r"(?:\.venv/bin/)?python (examples/\S+)(.*)", line):
             source = (ROOT / script[1]).read_text("utf-8")

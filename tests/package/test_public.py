@@ -3,15 +3,15 @@
 import ast
 import doctest
 import inspect
-import os
-import pickle
-import re
-import signal
 import subprocess
 import sys
 from functools import partial
 from graphlib import TopologicalSorter
 from importlib import import_module
+from os import environ
+from pickle import dumps, loads
+from re import DOTALL, MULTILINE, findall, search
+from signal import SIGINT
 
 import pytest
 
@@ -27,7 +27,7 @@ SAYS_NO_ERROR = {"InputError", "Motion"}  # the error itself, a result that only
 def run(*words, status=0):
     """What a new interpreter prints, on either stream."""
     done = subprocess.run(
-        [sys.executable, *map(str, words)], cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)},
+        [sys.executable, *map(str, words)], cwd=ROOT, env=environ | {"PYTHONPATH": str(ROOT)},
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=300, check=False,
     )  # fmt: skip
     assert done.returncode == status, done.stdout
@@ -46,7 +46,7 @@ def test_names_are_those_that_type_checkers_see():
     for module, name in seen:
         value = getattr(wp, name)
         assert value is getattr(sys.modules[module], name)
-        assert inspect.ismodule(value) or pickle.loads(pickle.dumps(value)) is value
+        assert inspect.ismodule(value) or loads(dumps(value)) is value
 
 
 def test_the_api_lists_every_public_name_and_each_has_a_docstring():
@@ -55,7 +55,7 @@ def test_the_api_lists_every_public_name_and_each_has_a_docstring():
     pages = "\n".join(page.read_text("utf-8") for page in API.glob("*.md"))
     for block in pages.split("\n::: ")[1:]:
         path, _, options = block.split("\n\n")[0].strip().partition("\n")
-        members, module = re.search(r"members: \[(.*)\]", options), import_module(path)
+        members, module = search(r"members: \[(.*)\]", options), import_module(path)
         names = members[1].split(", ") if members else getattr(module, "__all__", vars(module))
         shown |= {id(getattr(module, name)) for name in names}
     for module in (wp, *(getattr(wp, name) for name in MODULES)):
@@ -68,7 +68,7 @@ def test_the_api_lists_every_public_name_and_each_has_a_docstring():
 def begun():
     """Names of what the page says that examples begin with."""
     page, known = (API / "index.md").read_text("utf-8"), {}
-    exec(re.search(r"```python\n(.*?)```", page, re.DOTALL)[1], known)
+    exec(search(r"```python\n(.*?)```", page, DOTALL)[1], known)
     return known
 
 
@@ -80,9 +80,9 @@ def test_a_docstring_has_arguments_errors_and_an_example_that_runs(name, begun, 
     assert 1 <= len(example.examples) <= 3
     printed, runner = [], doctest.DocTestRunner(False, False, doctest.IGNORE_EXCEPTION_DETAIL)
     assert not runner.run(example, out=printed.append).failed, "".join(printed)
-    described = ", ".join(re.findall(r"^    ([\w, ]+): ", said, re.MULTILINE)).split(", ")
+    described = ", ".join(findall(r"^    ([\w, ]+): ", said, MULTILINE)).split(", ")
     assert {*inspect.signature(getattr(wp, name)).parameters} <= {*described}
-    assert name in SAYS_NO_ERROR or re.search(r"[Rr]aises? InputError", " ".join(said.split()))
+    assert name in SAYS_NO_ERROR or search(r"[Rr]aises? InputError", " ".join(said.split()))
 
 
 LOADED = "print(*({'torch', 'warp'} & {*sys.modules}))"
@@ -116,7 +116,7 @@ def test_an_interrupt_while_the_command_is_imported_is_no_traceback():
         "sys.meta_path.insert(0, Rings())\nsys.argv = ['warp-peri', 'certify', 'no such model']\n"
         "runpy.run_module('warp_peri', run_name='__main__')"
     )
-    assert run("-c", rings, status=-signal.SIGINT) == ""
+    assert run("-c", rings, status=-SIGINT) == ""
 
 
 def test_an_error_is_one_printable_line_and_a_status(capsys):

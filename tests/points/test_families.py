@@ -1,11 +1,11 @@
 """Families on a lattice and on any points: bonds, classes, weights, what a body must offer."""
 
-import re
 from dataclasses import replace
 from itertools import product
+from re import search
 
 import numpy as np
-from numpy.linalg import eigvalsh, norm
+from numpy.linalg import eigvalsh, norm, svd
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
@@ -69,7 +69,7 @@ def test_the_error_names_a_horizon_that_fits_or_counts_the_nodes_without_a_colla
         points = lattice(interior, collar * 1.25, spacing=h)
         with refused("out to twice the horizon") as caught:
             families_of(points, 8 * h)
-        said = re.search(r"of (\d+) have not at horizon 20 Å; ([\d.]+) Å fits", str(caught.value))
+        said = search(r"of (\d+) have not at horizon 20 Å; ([\d.]+) Å fits", str(caught.value))
         assert int(said[1]) == points.interior.sum()
         assert float(said[2]) > 0.45 * h * np.ceil(collar)
         families_of(points, float(said[2]))
@@ -131,7 +131,7 @@ def test_solvability_is_told_by_eigenvalues_and_singular_values():
     operator, fields = model.on(points, allow_uncertified=True), np.eye(2 * len(points.x))[unknown]
     A = operator(fields.reshape(-1, *points.x.shape)).reshape(len(fields), -1).T
     assert figures.symmetric_min == approx(eigvalsh((A + A.T) / 2)[0])
-    assert figures.singular_min == approx(np.linalg.svd(A)[1][-1])
+    assert figures.singular_min == approx(svd(A)[1][-1])
 
 
 def test_points_and_horizons_that_fit_no_families_are_refused():

@@ -1,13 +1,13 @@
 """Meshes of bodies: outlines, files, what is mended with a word and what is refused."""
 
 import contextlib
-import itertools
 from dataclasses import replace
+from itertools import permutations
 
 import meshio
 import numpy as np
 import torch
-from numpy.linalg import norm
+from numpy.linalg import det, norm
 from numpy.testing import assert_allclose, assert_array_equal
 
 import warp_peri as wp
@@ -21,7 +21,7 @@ from warp_peri.points.outlines import Circle, Polygon, box, mesh_outline
 
 HALVES = [[0, 1, 2], [0, 2, 3]]
 SIXTHS = []
-for order in itertools.permutations(np.eye(3, dtype=int).tolist()):
+for order in permutations(np.eye(3, dtype=int).tolist()):
     walk = np.cumsum([(0, 0, 0), *order], axis=0)
     turn = {(0, 0): 0, (1, 0): 1, (1, 1): 2, (0, 1): 3}
     SIXTHS.append([turn[x, y] + 4 * z for x, y, z in walk.tolist()])
@@ -54,7 +54,7 @@ def body(x, blocks):
 
 def size(mesh):
     corners = mesh.x[mesh.cells]
-    return np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])).sum() / (2, 6)[mesh.dimension - 2]
+    return np.abs(det(corners[:, 1:] - corners[:, :1])).sum() / (2, 6)[mesh.dimension - 2]
 
 
 def joined(*grids):
@@ -78,8 +78,7 @@ def test_an_outline_has_its_parts_curves_holes_and_distances():
     mesh = mesh_outline(box(40, 30), [Circle(5, (3, 1), size=1)], size=4)
     assert set(mesh.parts) == {"bottom", "right", "top", "left", "hole"}
     assert_allclose(mesh.hole_sizes, [10], rtol=1e-2)
-    ends = mesh.faces[mesh.parts["hole"]]
-    for x in (mesh.x[ends[:, 0]], mesh.middle[mesh.parts["hole"]]):
+    for x in (mesh.x[mesh.faces[mesh.parts["hole"]][:, 0]], mesh.middle[mesh.parts["hole"]]):
         assert_allclose(norm(x - (3, 1), axis=1), 5, rtol=1e-6)
     assert size(mesh) == approx(40 * 30 - np.pi * 25, rel=1e-2)
     assert_allclose(mesh.distance(np.array([[0.0, 14.0], [9.0, 1.0]]), 0.01), [1, 1], atol=1e-3)
@@ -115,7 +114,7 @@ def test_an_outline_has_its_parts_curves_holes_and_distances():
 def test_corners_at_one_place_are_one_and_a_word_says_so(sides, scale):
     d, (x, blocks) = len(sides), grid(*sides, size=scale)
     whole = body(x, blocks)
-    turn = np.linalg.det(whole.x[whole.faces])  # of the outline, whose body is on its left
+    turn = det(whole.x[whole.faces])  # of the outline, whose body is on its left
     assert turn.sum() == approx(d * (d - 1) * np.prod(sides) * scale**d)
     apart = x[blocks].reshape(-1, d)
     with warned(f"{len(apart) - len(x)} of {len(apart)} corners lie"):

@@ -78,10 +78,8 @@ def test_near_incompressibility_takes_few_iterations():
     """λ = 1000μ, where the other methods take hundreds to thousands."""
     model = LPSMaterial.load(TABLE)
     model = replace(model, lam=1000 * model.mu)
-    points = problem(mask_of("disk", 50), model.horizon, model.certified_on[0])
-    linear = linear_of(points, model)
-    load = loads(linear.grid)["smooth"]
-    assert linear.inverse(load, 1e-8, "strip")[1].iterations <= 30
+    linear = linear_of(problem(mask_of("disk", 50), model.horizon, model.certified_on[0]), model)
+    assert linear.inverse(loads(linear.grid)["smooth"], 1e-8, "strip")[1].iterations <= 30
 
 
 @filterwarnings("ignore:spacing")

@@ -1,10 +1,11 @@
 """What the tests share."""
 
-import json
+from json import loads
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.linalg import norm
 
 from tests.support.told import assert_refused as assert_refused
 from tests.support.told import each_refused as each_refused
@@ -23,9 +24,9 @@ shared = pytest.fixture(scope="module")
 """Makes a fixture once for all tests of a file."""
 sup = lambda values: np.abs(values).max()
 """The largest size of an entry."""
-norms = lambda *fields: [np.linalg.norm(one, axis=(1, 2)) for one in fields]
+norms = lambda *fields: [norm(one, axis=(1, 2)) for one in fields]
 """The sizes of the samples of each."""
-of_json = lambda path: json.loads(path.read_text("utf-8"))
+of_json = lambda path: loads(path.read_text("utf-8"))
 """What a file of JSON holds."""
 
 

@@ -41,8 +41,7 @@ def cube(number, horizon, spacing=1.0, centred=False):
 
 def plain(horizon, lam=0.3, mu=0.8, **law):
     """The model with K = 1/r, whose local limit is linear elasticity, unless told otherwise."""
-    known = {"lam": lam, "mu": mu, "alpha": 1.0, "D": [1.0], "horizon": horizon}
-    return LPSMaterial(**known | law)
+    return LPSMaterial(**{"lam": lam, "mu": mu, "alpha": 1.0, "D": [1.0], "horizon": horizon} | law)
 
 
 solid = partial(plain, dimension=3)

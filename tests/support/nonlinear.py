@@ -39,8 +39,7 @@ def psi(H, model):
     lam, mu = model.lame
 
     def harmonic(strain):
-        trace = np.trace(strain, axis1=-2, axis2=-1)
-        return lam / 2 * trace**2 + mu * (strain**2).sum((-2, -1))
+        return lam / 2 * np.trace(strain, axis1=-2, axis2=-1) ** 2 + mu * (strain**2).sum((-2, -1))
 
     cubic = model.t3 * t**3 + model.tq2 * t * np.abs(q) ** 2 + model.q3 * (q**3).real
     return harmonic(E) - harmonic(small) + cubic

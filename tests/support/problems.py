@@ -106,8 +106,7 @@ def smooth(x, samples, seed=0, wave_number=1.2):
     k = random.uniform(-1, 1, size=(samples, 4, d)) * wave_number
     amplitude = random.normal(size=(samples, 4, d))
     phase = random.uniform(0, 2 * np.pi, size=(samples, 4, 1))
-    waves = np.cos(np.einsum("swa,na->swn", k, x) + phase)
-    return np.einsum("swn,swa->sna", waves, amplitude)
+    return np.einsum("swn,swa->sna", np.cos(np.einsum("swa,na->swn", k, x) + phase), amplitude)
 
 
 def loaded(operator, u):

@@ -4,6 +4,7 @@ from itertools import product
 from math import comb, gamma
 
 import numpy as np
+from numpy.linalg import norm, pinv
 
 from warp_peri.points.points import grid_places
 
@@ -26,14 +27,14 @@ def reproducing(e):
     """Monomials over r³ of bonds of the unit ball, to degree 5 (8), and their integrals over it."""
     d = e.shape[1]
     powers = [p for p in product(range(6), repeat=d) if 4 - d <= sum(p) <= 5]
-    rows = [(e**p).prod(1) for p in powers] / np.linalg.norm(e, axis=1) ** 3
+    rows = [(e**p).prod(1) for p in powers] / norm(e, axis=1) ** 3
     return rows, np.array([moment(p) for p in powers])
 
 
 def quadrature(xi, horizon):
     """Weights of smallest norm among those exact on the reproducing space, (7)."""
     rows, exact = reproducing(xi / horizon)
-    return np.linalg.pinv(rows, rcond=1e-10) @ exact * horizon ** xi.shape[1]
+    return pinv(rows, rcond=1e-10) @ exact * horizon ** xi.shape[1]
 
 
 def family(x, i, horizon, box):
