@@ -30,7 +30,7 @@ GRACE = 0.5
 """Seconds that the first rank has to speak, where all meet the same error."""
 ENDED = "ranks: expected all here, each with its piece, but another's script has ended"
 ENDING: Values = {}
-"""Of this rank: the `status` that sys.exit was given, and whether there were `pieces`."""
+"""Of this rank: the `status` it leaves with by sys.exit, and whether there were `pieces`."""
 PATIENCE = 30.0
 """Seconds that a rank that leaves with a status other than 0 gives the others to leave, too."""
 THREADS = get_num_threads()
@@ -92,6 +92,7 @@ def _ended(comm: Comm, line: str, status: int) -> None:
     """Print one line, once, and end all ranks."""
     if comm.rank:
         time.sleep(GRACE)
+    sys.stdout.flush()
     print(line, file=sys.__stderr__, flush=True)
     time.sleep(GRACE / 5)  # mpiexec, busy as it may be, hears it before it ends all
     comm.Abort(status)
@@ -104,9 +105,20 @@ def _uncaught(comm: Comm, kind: type[BaseException], error: BaseException, trace
     _ended(comm, f"rank {comm.rank}: " * (not known) + "".join(lines).rstrip(), 2 if known else 1)
 
 
+class _Left(SystemExit):
+    """What sys.exit raises on ranks: Python asks for its code, from no frame, if none caught it."""
+
+    @property
+    def code(self) -> Any:  # type: ignore[override]
+        status, *_ = *self.args, None
+        if sys._getframe().f_back is None:
+            ENDING.update(status=status)
+            return 1 if isinstance(status, str) else status  # which is said at the end
+        return status
+
+
 def _leave(*status: Any) -> NoReturn:
-    ENDING.update(status=status[0] if status else None)
-    raise SystemExit(*status)
+    raise _Left(*status)
 
 
 def _at_end(comm: Comm) -> None:
@@ -117,11 +129,10 @@ def _at_end(comm: Comm) -> None:
     if Is_finalized():
         return
     if status := ENDING.get("status"):
-        left, code = comm.Ibarrier(), status if isinstance(status, int) else 1
-        until = time.monotonic() + PATIENCE * isinstance(status, int)
-        while not left.Test():
-            if time.monotonic() > until:
-                _ended(comm, f"rank {comm.rank} has left: {status}", code)
+        left, whole, since = comm.Ibarrier(), isinstance(status, int), time.monotonic()
+        while not (whole and left.Test()):  # a message is said whoever else leaves
+            if time.monotonic() >= since + PATIENCE * whole:
+                _ended(comm, f"rank {comm.rank} has left: {status}", status if whole else 1)
             time.sleep(GRACE / 10)
     while ENDING.get("pieces") and {*comm.allgather(ENDED)} != {ENDED}:
         pass
