@@ -129,7 +129,7 @@ class Periodic:
         operator = placed(material, nodes_of(self.points), **options)
         rest = offered(operator, "solve_periodic", "solve", "a model that solves periodic problems")
         if extra or is_tensor(self.b):
-            zero = np.zeros(np.shape(self.b))
+            zero = 0 * self.b.detach() if is_tensor(self.b) else np.zeros(np.shape(self.b))
             return operator.solve_torch(self.b, zero, solver, **extra)  # type: ignore[no-any-return]
         load = checked("b", self.b, float, (..., *self.points.x.shape))
         return rest(load, solver)  # type: ignore[no-any-return]

@@ -354,7 +354,7 @@ def test_arguments_of_bodies_solids_and_tables():
         "^free: expected": lambda: wp.solve(MODEL, held),
         "^k: expected": (
             *(lambda k=k: crystal.symbol(k) for k in ([1j, 0], hidden[:2], np.zeros(3), 1.0)),
-            *(lambda k=k: wp.methods.Smoothing().root(k) for k in (True, np.nan, hidden)),
+            *(lambda k=k: wp.methods.Smoothing(1.0).root(k) for k in (True, np.nan, hidden)),
         ),
         "^u: expected": (
             lambda: solve(op, points, None, [[1.0], [1.0, 2.0]]),

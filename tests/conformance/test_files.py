@@ -172,6 +172,7 @@ def test_what_is_replaced_in_memory_is_not_proven_either():
     assert third.proven_strain(strains) > 0
     for name in ("curvature", "spacing"):
         assert not replace(third, proven=third.proven | {name: 0.99 * third.proven[name]}).stands
+    assert not softer.with_parameters({}).errors
     assert contraction(third, 0.0, 0.0) is not None
 
 

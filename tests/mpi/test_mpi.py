@@ -203,12 +203,15 @@ def test_an_error_on_one_rank_ends_all_with_one_line(jobs):
     assert "Traceback" not in said
 
 
-CAUGHT = "try: c.rank and sys.exit('no')\nexcept SystemExit: pass"
+LEAVES = (
+    (1, "rank 1 has left: no", "c.rank and sys.exit('no')"),
+    (1, "rank 1: Traceback (most recent call last):", "c.rank and 1 / 0"),
+    (3, "", "sys.exit(3)"),
+    (0, "", "try: c.rank and sys.exit('no')\nexcept SystemExit: pass"),
+)
 
 
-@parametrize("status, said, end", [
-    (1, "rank 1 has left: no", "c.rank and sys.exit('no')"), (3, "", "sys.exit(3)"), (0, "", CAUGHT)
-])  # fmt: skip
+@parametrize("status, said, end", LEAVES)
 def test_a_rank_that_leaves_ends_all_but_all_may_leave(status, said, end):
     code = f"import sys; from warp_peri.mpi import world; c = world()\n{end}\nc.Barrier()"
     line = [MPIEXEC, "-n", "2", sys.executable, "-c", code]

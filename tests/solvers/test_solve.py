@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import torch
 from numpy.linalg import eigvalsh
 from numpy.testing import assert_array_equal
 from scipy.optimize import brentq
@@ -53,6 +54,7 @@ def test_a_constant_load_moves_nothing_on_a_period_that_a_sheet_must_fill():
         points = Points.sheet((20, 20), spacing)
         b = 1e-9 * np.full_like(points.x, [0.1, -0.37])
         answer = at_rest(law, Periodic(points, b))
+        assert at_rest(law, Periodic(points, torch.tensor(b).float())).u.dtype == torch.float32
         assert_array_equal(answer.u, np.zeros_like(b))
         assert answer.residual == 0
 

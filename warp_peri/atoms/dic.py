@@ -450,7 +450,7 @@ def surface(
 def estimate_noise(samples: Samples) -> ndarray:
     """Standard deviation of the displacement noise of every frame [length], shape [S]. From fourth
     differences, 70 times the variance: subsets that overlap make the estimate too small."""
-    steps = samples.lattice.steps
+    steps = np.rint((samples.x - samples.x.min(axis=0)) / samples.spacing).astype(int)
     grid = np.full((len(samples), *(steps.max(axis=0) + 1), 2), np.nan)
     grid[:, steps[:, 0], steps[:, 1]] = samples.u
     fourth = ([np.diff(one, 4, axis=axis).ravel() for axis in (0, 1)] for one in grid)

@@ -68,12 +68,12 @@ class Smoothing:
     """Cone filter by which the data were smoothed, and its regularised inverse.
 
     Attributes:
-        radius: R > 0 of the cone max(0, R − r) [Å].
+        radius: R > 0 of the cone max(0, R − r), in the data's unit of length.
         ridge: ρ ≥ 0 of the Wiener inverse (1 + ρ) ω̂/(ω̂² + ρ); 0 is the exact inverse 1/ω̂, which
             amplifies short waves. A smaller one is closer to the data and proves less.
     """
 
-    radius: Length = 10.0
+    radius: Length
     ridge: NotNegative = 0.1
 
     def transform(self, k: ndarray) -> ndarray:

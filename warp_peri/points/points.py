@@ -42,9 +42,10 @@ SHAPES = {2: "square", 3: "cubic"}
 SPARSE = "points: expected a {} lattice of spacing {}{}, but no two points are that close"
 LATTICE_TOLERANCE = 1e-6
 """Largest distance of a node from its lattice position, in spacings."""
-SINGLE, NEAREST = 2.0**-21, 1e-2
+SINGLE, NEAREST, ROUNDINGS = 2.0**-21, 1e-2, 3
 """Some roundings in single precision, of 2⁻²⁴ each, over the largest coordinate; how far, in
-spacings, these may take a node from a lattice that is still told."""
+spacings, these may take a node from a lattice that is still told; and by how many steps of single
+precision coordinates of one row may differ."""
 EMPTY_SHARE, SMALL_TABLE = 1000, 10**7
 """The table of lattice places around the nodes may be so much larger than their number, or so
 large; beyond that the nodes are too far apart to be one body."""
@@ -309,9 +310,9 @@ def straight_steps(x: ndarray, h: float, unit: str = "") -> Lattice:
         axes = _axes(x, h, near, unit)
         place = (x - x[0]) @ axes / h
         off = np.abs(place - np.rint(place)).max(axis=1)
-    elif near > LATTICE_TOLERANCE:  # in single precision a row has one coordinate
+    elif near > LATTICE_TOLERANCE:  # in single precision a row has nearly one coordinate
         gap = np.diff(np.sort(x.T))
-        if ((gap > np.spacing(np.float32(np.abs(x).max()))) & (gap < h / 2)).any():
+        if ((gap > ROUNDINGS * np.spacing(np.float32(np.abs(x).max()))) & (gap < h / 2)).any():
             near = LATTICE_TOLERANCE
     if len(far := np.flatnonzero(off > near)):
         raise InputError(

@@ -156,9 +156,9 @@ class TimeSeriesWriter:
                 arguments.check_shape(name, one, (len(self.x), *one.shape[1:2]))
         kinds = {name: one[:0] for name, one in found.items()}
         same(nodes.comm, step=step, time=time, fields=kinds)
+        self.kind = fingerprint(nodes.mark(self.x), kinds)
         if not hasattr(self, "mark"):
-            own = fingerprint(nodes.mark(self.x), kinds)
-            self.claim(lambda _: own, self.resume)
+            self.claim(lambda _: self.kind, self.resume)
         whole = gathered(nodes.comm, {"": self.x, **found}, nodes.number, nodes.count)
         head = f"{PVD}<!-- {step} {self.mark(step)} -->"
         with agreed(nodes.comm), written(self.path.parent):
