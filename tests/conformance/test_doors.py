@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 import warp
+from numpy import eye, inf, nan
 from numpy.linalg import norm
 from numpy.testing import assert_allclose
 
@@ -59,7 +60,7 @@ WRONG_OPTIONS = FLAGS | {
 }
 WRONG_OF_BREAKING = {
     "ramp": (3.0, "a", lambda: 1.0, lambda t: 1.0 / t,
-             *(lambda t, value=value: value for value in (np.nan, "a", np.ones(2), 1j, None))),
+             *(lambda t, value=value: value for value in (nan, "a", np.ones(2), 1j, None))),
     "watch": ({"a": 3}, 3, ["a"], {"a": lambda: 1.0}),
 }  # fmt: skip
 PLATE = mesh_outline(box(12, 12), size=3)
@@ -72,7 +73,7 @@ def kinds(good, place=None):
     place = good.size // 2 if place is None else place
     wrong = {"masked": masked(good, place), "complex": good + 0j, "text": good.astype(str)}
     wrong["learns"] = warp.array(good, float, requires_grad=True)
-    for name, value in (("nan", np.nan), ("infinite", np.inf), ("1e300", 1e300)):
+    for name, value in (("nan", nan), ("infinite", inf), ("1e300", 1e300)):
         wrong[name] = good.copy()
         wrong[name].flat[place] = value
     return wrong | {
@@ -264,12 +265,12 @@ def test_vectors_of_a_body():
     hidden = masked([1.0, 0.0])
     functions = lambda x: 1j * x, lambda x, n: 1j * n
     bad = [(value, value) for value in ((1j, 0), ("0", "0"), hidden, [[1.0], [2.0, 3.0]])]
-    for held, pulled in (*bad, ((np.inf, 0), (np.inf, 0)), functions):
+    for held, pulled in (*bad, ((inf, 0), (inf, 0)), functions):
         with refused("part 'left': expected"):
             wp.solve(MODEL, plate(held))
         with refused("part 'right': expected"):
             wp.solve(MODEL, plate(traction=pulled))
-    half = wp.Body(PLATE, {"left": (0, np.nan), "right": (0, 0)}, {"left": (5e-3, 0)})
+    half = wp.Body(PLATE, {"left": (0, nan), "right": (0, 0)}, {"left": (5e-3, 0)})
     assert wp.solve(MODEL, half).residual < 1e-8
     assert_refused({
         "part 'left': expected it held or pulled, got both":
@@ -327,7 +328,7 @@ def test_arguments_of_bodies_solids_and_tables():
             lambda: K(1j * hidden.data),
             *(
                 lambda bad=bad: MODEL.influence(bad)
-                for bad in ([0.0, 1.0], [3.1], -1.0, np.nan, 1j, hidden)
+                for bad in ([0.0, 1.0], [3.1], -1.0, nan, 1j, hidden)
             ),
         ),
         "^influence '<lambda>': expected": (
@@ -354,7 +355,7 @@ def test_arguments_of_bodies_solids_and_tables():
         "^free: expected": lambda: wp.solve(MODEL, held),
         "^k: expected": (
             *(lambda k=k: crystal.symbol(k) for k in ([1j, 0], hidden[:2], np.zeros(3), 1.0)),
-            *(lambda k=k: wp.methods.Smoothing(1.0).root(k) for k in (True, np.nan, hidden)),
+            *(lambda k=k: wp.methods.Smoothing(1.0).root(k) for k in (True, nan, hidden)),
         ),
         "^u: expected": (
             lambda: solve(op, points, None, [[1.0], [1.0, 2.0]]),
@@ -373,11 +374,11 @@ def test_arguments_of_bodies_solids_and_tables():
         "^header: expected": lambda: wp.atoms.check_box("a", (1, 1), "a", 1e-3),
         "^length: expected": lambda: DICFrame(points.x, points.x, "a", [1]),
         "^count: expected": lambda: wp.runtime.set_num_threads(10**400),
-        "^force: expected": lambda: wp.fracture.point_force(np.eye(2), 1.0, (0, 0), hidden[:2]),
+        "^force: expected": lambda: wp.fracture.point_force(eye(2), 1.0, (0, 0), hidden[:2]),
         "^values: expected": lambda: gather(points, points.x[1:]),
-        "^provenance: expected": (lambda: data(np.nan), lambda: data(object())),
+        "^provenance: expected": (lambda: data(nan), lambda: data(object())),
     })  # fmt: skip
-    many, none = torch.full((225,), 0.5), (1j, masked([0.5]), np.nan, "0.5", None, True)
+    many, none = torch.full((225,), 0.5), (1j, masked([0.5]), nan, "0.5", None, True)
     numbers = {"lam": 0.4, "mu": 0.5, "alpha": 1.0, "D": [1.0, 0.7, 0.4]}
     for name, more in {"lam": many, "mu": many, "alpha": many, "D": []}.items():
         call = lambda value, name=name: LPSParameters(**numbers | {name: value})
@@ -406,7 +407,7 @@ def test_what_watches_damage_is_named_once_gives_numbers_and_changes_nothing():
 
 
 def test_tensors_beside_a_pressure_and_numbers_of_no_dimension():
-    x, pressure = rectangle_nodes(8.0, 8.0, 1.0), 1e-3 * np.eye(2)
+    x, pressure = rectangle_nodes(8.0, 8.0, 1.0), 1e-3 * eye(2)
     points = within(x, 3)
     body = Cracked(points, torch.zeros(x.shape), 0 * x, [[(-2, 0), (2, 0)]], pressure=pressure)
     both = (wp.solve(solid().model, one).u for one in (body, replace(body, b=None)))
@@ -450,8 +451,8 @@ def doors():
 TYPED = {name: call.__wrapped__ for name, call in doors() if hasattr(call, "__wrapped__")}
 LEARNS = torch.ones((), requires_grad=True)
 WRONG = {
-    float: ("a", np.nan, np.float32(-np.inf), 1e300, 1j, [1.0, 2.0], LEARNS),
-    int: ("a", np.nan, 1.5, True, [1, 2], LEARNS),
+    float: ("a", nan, np.float32(-inf), 1e300, 1j, [1.0, 2.0], LEARNS),
+    int: ("a", nan, 1.5, True, [1, 2], LEARNS),
     bool: ("no", 1, 0.0),
     str: (5, ["a"]),
     os.PathLike: (5, 1.5),

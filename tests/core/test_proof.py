@@ -4,6 +4,7 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
+from numpy import cos, eye, inf, pi, sin
 from numpy.linalg import eigvalsh
 from numpy.random import default_rng
 
@@ -18,10 +19,10 @@ from warp_peri.core.proof import StencilCertificate, largest, long_wave_radius, 
 from warp_peri.core.stencil import Stencil, laplacian, laplacian_stencil
 from warp_peri.materials.certificate import squared
 
-NOTHING = {d: np.array([np.eye(d), -np.eye(d)], dtype=int) for d in (2, 3)}
+NOTHING = {d: np.array([eye(d), -eye(d)], dtype=int) for d in (2, 3)}
 SQUARE = lattice_group(2)
 STEPS = np.array([[2, 0], [0, 2], [1, 0], [0, 1]])
-springs = lambda *sizes: Stencil(1.0, STEPS, np.array(sizes)[:, None, None] * np.eye(2))
+springs = lambda *sizes: Stencil(1.0, STEPS, np.array(sizes)[:, None, None] * eye(2))
 SOFT = springs(1.0, 1.0, -3.9, -3.9)
 """Positive at long waves alone, not far beyond the ball."""
 
@@ -45,7 +46,7 @@ def test_nearly_all_of_the_sampled_minimum_is_proven_with_the_wedge_and_without(
 
 def test_a_dip_between_the_points_of_the_sample_is_not_overlooked(monkeypatch):
     """Positive at the sampled waves, negative in between: nothing may be proven."""
-    monkeypatch.setattr(proof, "zoomed", lambda _, k, reach: (np.full(len(k), np.inf), k))
+    monkeypatch.setattr(proof, "zoomed", lambda _, k, reach: (np.full(len(k), inf), k))
     d, law, sample = 2, learned(2), proof.SAMPLE[2]
     far = np.zeros((2, d), int)
     far[:, 0] = 2 * sample, 4 * sample  # 1 − cos k·ξ vanishes on the sampled grid
@@ -54,7 +55,7 @@ def test_a_dip_between_the_points_of_the_sample_is_not_overlooked(monkeypatch):
     steps = np.concatenate([law.steps, far])
     below = Stencil(1.0, steps, np.concatenate([law.tensors * law.spacing**2, dip]))
     wave = np.zeros((1, d))
-    wave[0, 0] = np.pi / far[0, 0]
+    wave[0, 0] = pi / far[0, 0]
     assert eigvalsh(below.symbol(wave))[0, 0] < 0
     found = prove(below, NOTHING[d])
     assert found.sampled > 0
@@ -68,7 +69,7 @@ def test_the_parts_of_the_proof_bound_what_they_claim(name, lam):
     stencil = kernel(name, 3.0, lam=lam).stencil(1.0).minus(laplacian_stencil(1.0, 2, 2), 0.1)
     rest, half = proof._most(stencil, sum(parts(stencil.tensors))), 0.05
     random, worst = default_rng(4), 0.0
-    for k in (*random.uniform(-np.pi, np.pi, (20, 2)), np.array([1e-2, 1e-2])):
+    for k in (*random.uniform(-pi, pi, (20, 2)), np.array([1e-2, 1e-2])):
         value, slopes = (one[..., 0, :, :] for one in proof._symbol_slopes(stencil, k[None]))
         assert slopes == approx(difference(lambda k: stencil.symbol(k[None])[0], k, 0.01), abs=1e-9)
         t = half * random.uniform(-1, 1, (200, 2))
@@ -98,8 +99,8 @@ def test_the_ball_around_zero_is_sound(name):
     stencil = SOFT if name == "soft" else kernel(name, 3.0).stencil(1.0)
     long, _ = proof._long_waves(stencil, SQUARE)
     assert long > 0
-    angle = np.linspace(0, np.pi, 50)
-    ring = np.stack([np.cos(angle), np.sin(angle)], 1)
+    angle = np.linspace(0, pi, 50)
+    ring = np.stack([cos(angle), sin(angle)], 1)
     for c in np.array([0.0, 0.5, 0.9, 0.999]) * long:
         less = stencil.minus(weight, c)
         radius = long_wave_radius(less, long - c)
@@ -122,7 +123,7 @@ def test_a_weight_is_what_it_says():
     steps = np.array([s for s in product((-1, 0, 1), repeat=2) if any(s)])
     field = steps / (steps**2).sum(1)[:, None] / 3.0
     weight, phase = squared(1.0, steps, field), waves(2)
-    expected = ((np.sin(phase @ steps.T) @ field) ** 2).sum(1)
+    expected = ((sin(phase @ steps.T) @ field) ** 2).sum(1)
     assert weight.symbol(phase)[:, 0, 0] == approx(expected, rel=1e-9, abs=1e-15)
     stencil = kernel("1/r", 2.0).stencil(1.0)
     found = prove(stencil, SQUARE, weight)

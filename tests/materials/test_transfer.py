@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy import cos, eye, pi, sin, sqrt
 from numpy.linalg import norm
 
 import warp_peri as wp
@@ -40,7 +41,7 @@ def test_the_loss_is_the_mean_square_of_the_error_in_displacement():
     target = dispersion(HOME, 1.0, k)
     loss = wave_loss(target, k, 0.6, product_basis(classes), weight)
     value = norm(loss.R @ products(model, classes) - loss.y) ** 2
-    wrong = np.linalg.solve(target, dispersion(model, 0.6, k)) - np.eye(2)
+    wrong = np.linalg.solve(target, dispersion(model, 0.6, k)) - eye(2)
     assert value == approx(weight @ (wrong**2).sum((1, 2)) / 2, rel=1e-10)
 
 
@@ -52,11 +53,11 @@ def test_claims_hold_of_the_operator_on_points(finer, angle):
     operator = finer.on(points)
     turn = rotation(angle)
     for wavelength, claimed in list(zip(record["wavelength"], record["error"]))[::8]:
-        k = 2 * np.pi / wavelength * np.array([np.cos(np.pi / 8), np.sin(np.pi / 8)])
+        k = 2 * pi / wavelength * np.array([cos(pi / 8), sin(pi / 8)])
         D = turn @ dispersion(HOME, 1.0, k[None])[0] @ turn.T
-        wave = np.cos(points.x @ turn @ k)  # 1 at the node in the middle
-        there = np.array([operator(wave[:, None] * e)[0] for e in np.eye(2)]).T
-        assert norm(np.linalg.solve(there, D) - np.eye(2), ord=2) <= claimed * (1 + 1e-9)
+        wave = cos(points.x @ turn @ k)  # 1 at the node in the middle
+        there = np.array([operator(wave[:, None] * e)[0] for e in eye(2)]).T
+        assert norm(np.linalg.solve(there, D) - eye(2), ord=2) <= claimed * (1 + 1e-9)
         assert there == approx(turn @ dispersion(finer, 0.6, k[None])[0] @ turn.T, rel=1e-9)
 
 
@@ -69,7 +70,7 @@ def test_what_a_record_holds(finer):
     assert finer.certified_on == (0.6,)
     assert finer.horizon < 5 * 0.6  # no more bonds than the tolerance needs
     assert record["bonds"] == len(bond_classes(0.6, finer.horizon).steps)
-    assert max(record["wavelength"]) > 20 * np.pi > min(record["wavelength"]) >= 2 * np.pi / 2.0
+    assert max(record["wavelength"]) > 20 * pi > min(record["wavelength"]) >= 2 * pi / 2.0
     # the tolerance is for waves twice as long as those that the kernel is fitted on
     long = np.array(record["wavelength"]) >= 2 * record["fitted_to"]
     assert np.array(record["error"])[long].max() <= TOLERANCE
@@ -86,7 +87,7 @@ def test_what_cannot_be_had():
 def test_the_shortest_waves_of_loads():
     points = lattice(12, 2.0, spacing=0.5)
     k = np.array([[0.9, 0.0], [0.5, 1.1]])
-    b = np.cos(points.x @ k.T).T[:, :, None] * (1.0, 0.5)
+    b = cos(points.x @ k.T).T[:, :, None] * (1.0, 0.5)
     samples = Samples(points, b, b)
     assert largest_wave_number(samples) == approx(np.hypot(0.5, 1.1), rel=0.05)
     assert largest_wave_number(replace(samples, arrays={"wave_vector": k})) == np.hypot(0.5, 1.1)
@@ -147,15 +148,15 @@ def test_everything_takes_points_of_another_spacing():
 
 
 def test_the_horizon_that_the_collar_carries():
-    for horizon in (1.6, 0.8 * np.sqrt(5), 2.4):
+    for horizon in (1.6, 0.8 * sqrt(5), 2.4):
         points = lattice(4, horizon, spacing=0.8)
         carried = carried_horizon(points)
         families_of(points, carried)
         with refused("complete families"):
             families_of(points, carried + 0.8)
-    few = lattice(6, 0.8 * np.sqrt(5), spacing=0.8)
+    few = lattice(6, 0.8 * sqrt(5), spacing=0.8)
     with warned("transferred"):
-        assert HOME.on(few).model.horizon == approx(0.8 * np.sqrt(5))
+        assert HOME.on(few).model.horizon == approx(0.8 * sqrt(5))
 
 
 @parametrize("spacing", [1.0, 0.8])
@@ -189,7 +190,7 @@ def test_fields_carried_to_a_lattice():
     assert carried.u == approx(fields(carried.x), abs=1e-8)
     assert carried.b is None
     assert mean_spacing(points) == approx(1.0, rel=0.05)
-    wave = lambda x: np.sin(x @ (0.5, 0.4))[None, :, None] * (1.0, 0.3)
+    wave = lambda x: sin(x @ (0.5, 0.4))[None, :, None] * (1.0, 0.3)
     carried = onto_lattice(Samples(points, wave(points.x), 2 * wave(points.x)), spacing=1.0)
     inside = carried.interior
     assert carried.spacing == 1.0

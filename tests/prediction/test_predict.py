@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 
 import numpy as np
+from numpy import cos, eye, pi, sqrt
 from numpy.linalg import norm
 
 import warp_peri as wp
@@ -63,7 +64,7 @@ def as_samples(problem):
 
 def along_x(points):
     """A load along x, and a collar that is held."""
-    b = 0 * points.x + 1e-4 * np.eye(points.dimension)[0]
+    b = 0 * points.x + 1e-4 * eye(points.dimension)[0]
     return wp.Dirichlet(points, b, 0 * b)
 
 
@@ -102,8 +103,8 @@ def test_a_part_is_as_large_as_what_was_planted(family):
     """Without a collar that moves, a law stiffer by a share answers with less by that share."""
     family, posed = replace(family, record=None), along_x(lattice(9, HORIZON))
     answer = wp.predict(family, posed, None)
-    floor = family.factors.floor / np.sqrt(2)
-    near(answer.parts["data"], floor * np.sqrt(2) * APART, 0.1)
+    floor = family.factors.floor / sqrt(2)
+    near(answer.parts["data"], floor * sqrt(2) * APART, 0.1)
     near(answer.parts["waves"], floor * 0.01, 0.1)
     tight, loose = (wp.predict(family, posed, tolerance) for tolerance in (0.01, 0.04))
     assert not tight.kept
@@ -143,7 +144,7 @@ def test_the_guarantee_holds_planted_errors(family):
     wrong = on_interior(points, 0.02 * sup(u) * noise(points))
     proof = replace(wp.predict(family, given, None), u=u + wrong).guarantee
     assert proof is not None
-    true = np.sqrt((wrong[inside] * EnsembleOperator(family, points).straight(wrong)).sum())
+    true = sqrt((wrong[inside] * EnsembleOperator(family, points).straight(wrong)).sum())
     assert true <= proof.energy <= true * 1.2 / (1 - proof.contraction)
     assert 0 < proof.contraction < 1
     assert far(u + wrong, u, points) <= proof.displacement
@@ -158,7 +159,7 @@ def test_a_linear_family_is_bounded_without_a_contraction(lps):
     wrong = on_interior(points, 1e-4 * noise(points))
     proof = replace(answer, u=answer.u + wrong).guarantee
     assert proof.contraction == 0
-    true = np.sqrt((wrong[points.interior] * lps.on(points)(wrong)).sum())
+    true = sqrt((wrong[points.interior] * lps.on(points)(wrong)).sum())
     assert true <= proof.energy <= 1.001 * true
 
 
@@ -245,13 +246,13 @@ def test_a_family_is_learned_and_calibrated_by_one_call(tmp_path):
 def test_shares_find_the_wavelength_and_members_are_pulled_half_way_to_their_record():
     points = lattice(40, 0.5)
     knots = np.array([4.0, 8.0, 16.0])
-    u = np.stack([np.cos(2 * np.pi * points.x[:, 0] / 8), np.zeros(len(points.x))], axis=1)
+    u = np.stack([cos(2 * pi * points.x[:, 0] / 8), np.zeros(len(points.x))], axis=1)
     found = spectrum_of(points, knots)(u)
     assert found.argmax() == 1
     assert found.sum() == approx(1, abs=0.02)
     assert ErrorSpectrum(knots, np.array([0.0, 0.1, 0.0])).of(found) == approx(0.1, rel=0.15)
     assert spectrum_of(points, knots)(1e-3 * points.x).sum() < 1e-9
-    assert pulled(0.01, 0.02) == approx(np.sqrt(2))
+    assert pulled(0.01, 0.02) == approx(sqrt(2))
     assert pulled(0.01, 0.0025) == approx(0.5)
     assert pulled(0.01, 1.0) == 2
     assert pulled(0.01, None) == pulled(0.0, 1.0) == 1
@@ -285,7 +286,7 @@ def test_a_linear_family_tells_what_is_not_linear(family, linear_family):
         assert 0.8 < answer.parts["strain"] / (norm(even) / norm(truth[seen.interior])) < 2
         told = placed.bent(answer.u)
         assert np.vdot(told, even) > 0.7 * norm(told) * norm(even)
-    u = 0.1 * np.cos(seen.x @ np.arange(10).reshape(2, 5) / 30).T[..., None] * noise(seen, 5)[:, :1]
+    u = 0.1 * cos(seen.x @ np.arange(10).reshape(2, 5) / 30).T[..., None] * noise(seen, 5)[:, :1]
     rounded = [replace(seen, u=u.astype(kind), b=0 * u) for kind in ("f8", "f4")]  # det ∇u = 0
     near(*(np.array(quadratic(learned, one)) for one in rounded), 1e-3)
     unknown = replace(learned, quadratic=())  # an older file
@@ -371,7 +372,7 @@ def test_turned_lattices_and_crystals_in_space(lps, turned):
     points = lattice(9, HORIZON, angle=0.3) if turned else body(3, "cube")
     answer = wp.predict(lps if turned else of_linear(learned(3), "tensors"), along_x(points), None)
     assert answer.uncovered == ()
-    near(answer.error, np.sqrt((0.01**2 + 2 * APART**2) / 2), 0.15)
+    near(answer.error, sqrt((0.01**2 + 2 * APART**2) / 2), 0.15)
     assert answer.corrected.shape == points.x.shape
     assert answer.map()[points.interior].min() >= 0
 
