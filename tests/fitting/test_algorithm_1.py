@@ -60,7 +60,7 @@ def test_adam_follows_the_gradient_of_warps_operator(monkeypatch):
     first = fit(points, 2.5, Bernstein(2), method=method).history[0]
     assert first.steps == len(taken) == 2 * (10 + 1)
     law = LPS(2.5, Bernstein(2), conditions=StabilityConditions("paper", ZETA))
-    given = Learner(law, [points], [], None)
+    given = Learner(law, [points, points[:3]], [], None)
     for degree in (2, 4):  # with α free, and where it says what D says
         start = LPSFound(LPSParameters(-0.1, 0.8, 1.3, np.linspace(1, 0.2, degree + 1)))
         law = LPSLaw(given.lattices, start, given.conditions, free)

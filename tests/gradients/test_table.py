@@ -33,7 +33,7 @@ QUICK = {
     "force": {*OPERATORS},
     "solve": {"LPS", "crystal", "crystal, periodic", "own", "LPS, broken bonds", "conductor", "cut",
               "crystal in space", "density"},
-    "simulate": {"LPS", "LPS in space", *FLOWS, *REFUSED},
+    "simulate": {"LPS", "LPS in space", "third order, energy", *FLOWS, *REFUSED},
 }  # fmt: skip
 """Cells of the table that do not take seconds; `pytest tests/gradients -m ""` runs all."""
 

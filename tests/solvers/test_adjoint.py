@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch.autograd import grad
 
-from tests.gradients.cases import assert_slopes, given, loss
+from tests.gradients.cases import given
 from tests.support import assert_refused, each_refused, filterwarnings, near
 from tests.support.materials import operator
 from warp_peri import Cracked, Dirichlet, TorchModule, simulate
@@ -14,12 +14,6 @@ from warp_peri.solvers import verlet
 from warp_peri.solvers.adjoint import BATCH
 
 pytestmark = filterwarnings("ignore::UserWarning")
-
-
-def test_a_nonlinear_force_is_felt_where_the_motion_went():
-    op = operator("third order, energy")
-    fields, options = given(op)
-    assert_slopes(lambda of: loss(op, fields | of, options), {"u": fields["u"]}, 1.0, 1e-7)
 
 
 def test_the_motion_is_that_of_arrays_to_the_bit():
