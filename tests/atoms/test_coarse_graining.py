@@ -126,6 +126,7 @@ def test_mat_files_have_nodes_in_any_order_and_components_first_or_last(tmp_path
         ({"disps": u[:, 1:]}, {}, "disps: expected two components of 441 nodes, got"),
         ({"coords": NODES.x + RANDOM.uniform(0, 1, NODES.x.shape)}, {}, "square lattice"),
         ({"disps": u[:, 1:]}, {"load": None, "positions": 5.0}, "components of 441 nodes, got"),
+        ({"disps": u.reshape(3, 9, 49, 2)}, {"load": None, "positions": 5.0}, "a square sheet"),
         ({}, {"load": None, "factor": 3.0}, "factor: expected a load that it multiplies"),
         ({}, {"reach": 11}, "within 22 spacings around some, got none of 21 × 21"),
     ):

@@ -106,6 +106,19 @@ def test_disorder_that_relaxes_away_leaves_the_crystal(flat):
     assert exact.sum() == (4 if flat else 48) * (2 if flat else 1)
 
 
+EARLY = {
+    "symmetry": ("cubic", np.ones((1, 3, 3))),
+    "horizon": (1.0, 1e3),
+    "supercell": ((1.5, 2, 2), (3, 3), (True, 2, 2), (1, 1, 1)),
+    "spacing": (1e-3, 1e6),
+}
+
+
+class Unasked(EMT):
+    def calculate(self, *_):
+        raise AssertionError("asked for what could not be fitted")
+
+
 def _told(**said):
     of = {f"get_{name}": lambda self, atoms, one=one: one for name, one in said.items()}
     return bulk("Cu"), type("Told", (EMT,), of)
@@ -118,6 +131,7 @@ def test_what_is_no_crystal_and_what_a_calculator_or_a_force_lacks_are_refused()
         "one of Cu half": (Atoms("Cu", info={"occupancy": {"0": {"Cu": "half"}}}), EMT),
         "is a site there": (Atoms("Al2", [[0, 0, 0], [0.1, 0, 0]], **IN, info=UNSAID), EMT),
         "at finite places": (Atoms("Al", [[np.nan, 0, 0]], **IN), EMT),
+        "structure: expected masses": (Atoms("Al", masses=[np.nan], **IN), EMT),
         "some in a plane": (Atoms("Al", cell=SKEWED, pbc=True), EMT),
         "no forces for Fe .*No EMT-potential": (bulk("Fe", "fcc", a=5.0), EMT),
         r"calculator: Told: forces: expected shape \[1, 3\], got \[1, 2\]": _told(forces=[[0, 0]]),
@@ -240,15 +254,18 @@ def test_what_is_no_file_of_phonopy_and_charges_of_a_sheet_are_refused(tmp_path)
         (tmp_path / name).unlink()
     cell, two = bulk("Cu"), np.zeros((2, 3, 3))
     assert_refused({
-        "supercell: expected int values":
-            lambda: wp.fit_crystal(cell, EMT(), supercell=(1.5, 2, 2)),
+        f"^({'|'.join(EARLY)}): expected": tuple(
+            lambda how={name: value}: wp.fit_crystal(cell, Unasked(), **how)
+            for name, values in EARLY.items()
+            for value in values
+        ),
         "hold: expected all, or of": lambda: wp.fit_crystal(cell, EMT(), hold=[1]),
         "atoms: expected ForceConstants": lambda: wp.crystals.fit_phonons(cell, 3.59, 8.8),
         "calculator: expected an ASE calculator": (
             lambda: from_calculator(cell, None, (2, 2, 2)), lambda: wp.fit_crystal(cell, EMT),
         ),
         "structure: expected one atom": lambda: from_calculator(bulk("Cu", a=np.nan), EMT(), ()),
-        "repeats: expected three counts ≥ 1 and at most": tuple(
+        "repeats: expected (three counts|a whole number) ≥ 1": tuple(
             lambda n=n: from_calculator(cell, EMT(), (n, 2, 2)) for n in (0, 10**6)
         ),
         "thickness: .* solid": lambda: from_calculator(cell, EMT(), (2, 2, 2), thickness=3.0),

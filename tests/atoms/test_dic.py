@@ -225,8 +225,8 @@ def test_a_folder_tells_what_it_passes_over_and_what_does_not_fit(tmp_path):
     for name in ("Ncorr.mat", "frame.npy"):
         (none / name).write_bytes(b"none")
 
-    def read(folder, count=7, radius=0.0):
-        frames_of_folder(folder, count, radius=radius)
+    def read(folder, count=7, radius=0.0, stress=()):
+        frames_of_folder(folder, count, radius=radius, stress=stress)
 
     each_refused(read, {
         "4 frames, got 3; .*force.csv: expected columns": whole,
@@ -234,4 +234,5 @@ def test_a_folder_tells_what_it_passes_over_and_what_does_not_fit(tmp_path):
         "frame3.csv has 100 nodes of 240, frame0.csv has 240": unequal,
         "count: expected at least 4 frames, got 3": (unequal, 3),
         "radius: expected a number ≥ 0": (unequal, 7, -1.0),
+        "stress: expected finite .* inf": (unequal, 7, 0.0, (0, np.inf, 1, 2)),
     })  # fmt: skip

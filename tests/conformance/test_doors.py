@@ -420,7 +420,7 @@ def test_tensors_beside_a_pressure_and_numbers_of_no_dimension():
     run = wp.simulate(model, wp.Dirichlet(points, None, u), step=torch.tensor(1e-9), **how)
     assert run.u.shape == u.shape
     assert replace(model, certified_on=torch.tensor([5.0])).certified_on == (5.0,)
-    assert wp.mpi.lattice((4, 4), torch.tensor(1.0), lambda x: x[:, 0] > 1).spacing == 1
+    assert wp.mpi.lattice((4.0, 4), torch.tensor(1.0), lambda x: x[:, 0] > 1).spacing == 1
     turned = np.ascontiguousarray(u[::-1])[::-1]
     mu = {"mu": torch.tensor(model.mu, requires_grad=True)}
     assert solve(model, points, 0 * turned, turned, parameters=mu).requires_grad

@@ -93,12 +93,14 @@ def test_moduli_that_nothing_has_or_tells_are_named():
         "^tensor: expected C_ijkl": {"tensor": C * u},
         "^moduli: expected symmetric": {"tensor": C * C[..., :1, :1]},
         "^tensor: expected shape": {"tensor": u},
-        "^tensor: expected that of the symbol": {"tensor": 1e3 * C},
         "^tensor, orientation: expected": {"tensor": None},
         "^stress: expected": {"stress": u},
         "^largest_wave: expected": {"largest_wave": -2.0},
         "^record: expected": {"record": {"a": nan}},
-    })  # fmt: skip
+    } | {f"^tensor: .* off {off} times": {"tensor": by * C}
+         for off, by in {"3": 3.0, "4": 0.25, r"1e\+03": 1e-3}.items()})  # fmt: skip
+    with warned("of the symbol, .* off 2 times"):
+        fit_dispersion(**how | {"tensor": 2.0 * C}, horizon=2.5)
     noise = 0.5 * samples.b.std() * normal(samples.b.shape)
     with warned("moduli: those of the longest waves leave .*%"):
         found = fit(replace(samples, b=samples.b + noise), law.horizon, symmetry="4mm")

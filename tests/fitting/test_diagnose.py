@@ -88,6 +88,8 @@ def test_noise_is_named_where_its_fields_are_given(samples):
 def test_what_cannot_be_told_is_refused(samples):
     with refused("expected 8 at least on a lattice, got 3"):
         diagnose(MODEL, samples[:3])
+    with refused("noise: expected displacements of the unloaded body"):
+        diagnose(MODEL, samples, samples)
     u = default_rng(0).normal(size=(8, len(cube(2, 2.0).x), 3))
     with refused("samples in the plane, got 3 dimensions"):
         diagnose(solid(2.0), Samples(cube(2, 2.0), u, u))

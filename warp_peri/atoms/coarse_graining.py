@@ -210,7 +210,14 @@ def read_mat(
         x = checked(positions, held[positions], float, ("N", 2))
         step = spacing_of(x)
     else:
-        step, side = float(positions), round((held[displacement][0].size / 2) ** 0.5)
+        shape = held[displacement].shape
+        step, side = float(positions), round((math.prod(shape[1:]) / 2) ** 0.5)
+        rows = [n for n in shape[1:] if n > 2]
+        if len(rows) > 1 and rows[-1] != side:
+            raise InputError(
+                f"{path}: {displacement}: expected a square sheet, or the name of its positions, "
+                f"got {shape}"
+            )
         x = step * grid_places((side, side))
     u = _components_last(path, held, displacement, len(x))
     b = None if load is None else factor * _components_last(path, held, load, len(x))

@@ -16,8 +16,8 @@ from numpy.linalg import eigh, eigvalsh, inv, norm
 from warp_peri.atoms.calculator_noise import PULLED, SMALLER, by_strains, joined
 from warp_peri.atoms.calculators import Asked
 from warp_peri.atoms.force_constants import STEP, WIDER, ForceConstants
-from warp_peri.atoms.phonons import at_zone_edge, check_phonons, force_constants
-from warp_peri.atoms.relaxed import Reference, at_rest, usual_spacing
+from warp_peri.atoms.phonons import at_zone_edge, check_phonons, counted, force_constants
+from warp_peri.atoms.relaxed import Reference, at_rest, oriented, smallest, usual_spacing
 from warp_peri.core.elastic import (
     Symmetry,
     acoustic,
@@ -26,13 +26,15 @@ from warp_peri.core.elastic import (
     compliance,
     directions,
     named_moduli,
+    point_group,
     stress_brackets,
     voigt,
 )
-from warp_peri.errors import Arrays, InputError, Rows, Shown, Values, warn
+from warp_peri.core.stencil import half_ball
+from warp_peri.errors import Arrays, InputError, Rows, Shown, Values, quietly, warn
 from warp_peri.fitting.regression import relative
 from warp_peri.materials.crystal import CrystalMaterial
-from warp_peri.materials.crystal_fit import fit_phonons, symmetry_of
+from warp_peri.materials.crystal_fit import check_beside, fit_phonons, symmetry_of
 from warp_peri.materials.transfer import WaveSymbol
 from warp_peri.points import arguments
 from warp_peri.points.arguments import USUAL, Pair, Positive, Units, check_units, offered, typed
@@ -43,6 +45,8 @@ REACH = {2: 3.0, 3: 6**0.5}
 """Horizons over the spacing: 28 bonds in the plane, 80 in space."""
 WITHIN = 0.02
 """Relative error of the answer to a plane wave that a law is said to hold with."""
+MANY = 30
+"""Spacings of a cell that is not relaxed, in no horizon."""
 RULES = 0.1
 """Of force constants, and of the largest modulus, that broken rules may change."""
 APART = 9.0
@@ -287,6 +291,7 @@ def fit_crystal(
     units = check_units(units)
     offered(atoms, "get_positions", "fit_crystal", "an ase.Atoms")
     calculator = Asked(atoms.calc if calculator is None else calculator)
+    _check_asked(atoms, thickness, spacing, horizon, supercell, symmetry)
     reference = at_rest(atoms, calculator, thickness=thickness, hold=hold)
     constants, said = force_constants(reference, calculator, supercell)
     group = symmetry_of(constants, symmetry)
@@ -305,6 +310,27 @@ def fit_crystal(
             warn(f"moduli: {told}")
             said["moduli disagree"] = told
     return _learned(constants, spacing, horizon, group, units, said, strained)
+
+
+def _check_asked(
+    atoms: ase.Atoms, thickness: Any, spacing: Any, horizon: Any, supercell: Any, symmetry: Any
+) -> None:
+    """Raise InputError, before a calculator works, for what no cell near the given one can have."""
+    with quietly():
+        cell, flat = oriented(atoms, True, thickness)
+    cell, d = smallest(cell, flat), 3 - flat
+    size = norm(np.cross(*cell.cell[:2])) if flat else abs(cell.get_volume())
+    if supercell is not None:
+        counted("supercell", supercell, len(cell), flat=flat)
+    if str(symmetry) != "auto":
+        point_group(symmetry, d)
+    check_beside(h := spacing or usual_spacing(cell, flat), float(size ** (1 / d)))
+    if horizon is not None:
+        near = (size / len(cell)) ** (1 / d)  # a disordered cell may relax to one of an atom
+        if not spacing and horizon < near / 2:
+            raise InputError(f"horizon: expected at least one spacing, {near:.3g} Å, got {horizon}")
+        if spacing or horizon > MANY * h:
+            half_ball(horizon / h, d)
 
 
 def with_strains(

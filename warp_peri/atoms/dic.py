@@ -338,6 +338,7 @@ def frames_of_folder(
     skipped with a warning. `stress` is a PULL of the last frame or of every frame of the folder.
     """
     length_of(pixel)
+    pulls = checked("stress", stress, float, ("n",))
     if count < LEAST:
         raise InputError(f"count: expected at least {LEAST} frames, got {count}")
     if not folder.is_dir():
@@ -358,14 +359,14 @@ def frames_of_folder(
     last = len(frames) - 1
     chosen = np.unique(np.linspace(FIRST * last, last, min(count, len(frames))).astype(int))
     samples = dic_to_lattice([frames[n] for n in chosen], radius=radius, positions=positions)
-    if not stress:
+    if not len(pulls):
         return samples
-    if len(stress) not in (1, len(frames)) or not (min(stress) >= 0 and 0 < stress[-1] < np.inf):
+    if len(pulls) not in (1, len(frames)) or not pulls.min() >= 0 < pulls[-1]:
         raise InputError(
             f"stress: expected one number > 0, or {len(frames)}, one for each frame, got {stress}"
         )
     pull = np.full((len(frames), 2), np.nan)
-    pull[-len(stress) :, "xy".index(along)] = stress
+    pull[-len(pulls) :, "xy".index(along)] = pulls
     return replace(samples, arrays=samples.arrays | {PULL: pull[chosen]})
 
 

@@ -34,7 +34,7 @@ from warp_peri.atoms.relaxed import VACUUM, Reference, check_sites, gap, oriente
 from warp_peri.errors import InputError, Several, Shape, StrPath, optional, warn
 from warp_peri.files.atomic import check_hdf5, check_yaml, content
 from warp_peri.points.arguments import ArrayMap, Positive, checked, offered, typed
-from warp_peri.points.points import grid_points
+from warp_peri.points.points import grid_points, whole_numbers
 
 WIDTHS = 10.0, 14.0, 18.0, 22.0, 26.0, 32.0, 40.0
 """Of supercells [Å], tried in turn."""
@@ -70,7 +70,7 @@ def force_constants(
     if supercell is None:
         repeats = wide_enough(reference, calculator, WIDTHS)
     else:
-        repeats = _counted("supercell", supercell, len(cell), flat=d == 2)
+        repeats = counted("supercell", supercell, len(cell), flat=d == 2)
     many, how = cell.repeat(repeats), {"thickness": reference.thickness, "stress": reference.stress}
     said: dict[str, str] = {}
     if reference.noise.rounding:
@@ -81,11 +81,12 @@ def force_constants(
     return found, {"force constants": f"{_cells(repeats[:d])}, {len(many)} atoms"} | said
 
 
-def _counted(name: str, repeats: Any, atoms: int, *, flat: bool = False) -> Shape:
-    """Check how often a cell of so many atoms is repeated."""
-    counts = tuple(checked(name, repeats, int, (3,)).tolist())
-    if min(counts) < 1 or (flat and counts[2] != 1) or atoms * math.prod(counts) > MOST_ASKED:
-        what = f"three counts ≥ 1{', a sheet’s third 1,' * flat} and at most {MOST_ASKED} atoms"
+def counted(name: str, repeats: Any, atoms: int, *, flat: bool = False) -> Shape:
+    """Check how often a cell of so many atoms is repeated: one atom alone has no forces."""
+    counts = whole_numbers(name, repeats)
+    many = 1 < atoms * math.prod(counts) <= MOST_ASKED
+    if len(counts) != 3 or (flat and counts[2] != 1) or not many:
+        what = f"three counts ≥ 1{', a sheet’s third 1,' * flat} and 2 to {MOST_ASKED} atoms"
         raise InputError(f"{name}: expected {what}, got {counts}")
     return counts
 
@@ -211,7 +212,7 @@ def from_calculator(
         raise InputError("thickness: the structure is a sheet, whose thickness [Å] is missing")
     if structure.cell.rank < 3:
         raise InputError("structure: expected three edges; atoms.center(10, 2) makes a sheet's")
-    many = repeat(_counted("repeats", repeats, len(structure)))
+    many = repeat(counted("repeats", repeats, len(structure)))
     return _by_differences(structure, many, Asked(calculator), thickness=thickness)
 
 

@@ -88,6 +88,8 @@ def check_sites(atoms: ase.Atoms) -> None:
                 "structure: expected sites of one element, got one of "
                 f"{', '.join(f'{kind} {part}' for kind, part in site.items())}"
             )
+    if not (mass := atoms.get_masses() > 0).all():
+        raise InputError(f"structure: expected masses > 0, got another of atom {mass.argmin()}")
     edges, x = np.array(atoms.cell), np.array(atoms.positions)
     if not len(atoms) or not (np.isfinite(edges).all() and np.isfinite(x).all()):
         raise InputError("structure: expected one atom or more, at finite places in a finite cell")

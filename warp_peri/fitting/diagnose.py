@@ -117,6 +117,8 @@ def diagnose(material: Any, samples: Samples, noise: Samples | None = None) -> D
         raise InputError(f"samples: expected {LEAST_SAMPLES} at least on a lattice, got {got}")
     if (d := samples.dimension) != 2:
         raise InputError(f"samples: expected samples in the plane, got {d} dimensions")
+    if noise is not None:
+        check_noise(noise, samples)
     warn_of_unseen(samples)
     operator, left, residual = left_by(material, samples, "diagnose")
     total, shares = float((left**2).sum()), dict[str, float]()
@@ -124,7 +126,6 @@ def diagnose(material: Any, samples: Samples, noise: Samples | None = None) -> D
     if residual <= ROUNDING or total <= ROUNDING**2 * (inner**2).sum():
         return Diagnosis(residual, {"rounding": 1.0, "unexplained": 0.0})
     if noise is not None:
-        check_noise(noise, samples)
         made = len(samples) * float((operator(noise.u) ** 2).mean(axis=0).sum()) / total
         shares["noise"] = min(1.0, made)
     others = 1 - sum(shares.values())  # what noise makes, the others would take again

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy import ndarray
-from numpy.linalg import eigvalsh, lstsq, matrix_rank, svd
+from numpy.linalg import eigvals, eigvalsh, lstsq, matrix_rank, solve, svd
 
 from warp_peri.core import elastic
 from warp_peri.core.elastic import (
@@ -47,7 +47,13 @@ from warp_peri.fitting.regression import (
 from warp_peri.fitting.result import Fit
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.lps_law import LONG_WAVES
-from warp_peri.materials.transfer import LARGEST_WAVE, WaveSymbol, carried_symbol, wave_rows
+from warp_peri.materials.transfer import (
+    LARGEST_WAVE,
+    LONGEST,
+    WaveSymbol,
+    carried_symbol,
+    wave_rows,
+)
 from warp_peri.points import arguments
 from warp_peri.points.arguments import USUAL, Positive, Units, factors, offered, symbols, typed
 from warp_peri.points.dataset import Dataset, sets_of
@@ -58,6 +64,8 @@ if TYPE_CHECKING:
 
 POOR = 0.1
 """The part of the loads of long waves that moduli which fields tell may leave unsaid."""
+UNLIKE, OTHER = 1.5, 2.5
+"""Times a tensor that its symbol's long waves are: worth a word above, another solid's above."""
 ABSURD = 10.0
 """Times the loads, that no law leaves of data in its own units, however noisy."""
 FLOOR = 0.3
@@ -292,16 +300,33 @@ def fit_dispersion(
         "largest_wave": largest_wave / spacing,
     }
     found = tensors.fitted(R, y, tensor, stress)
+    if tensor is not None:
+        k = LONGEST / spacing * directions(400, d)
+        held = 0 if stress is None else stress_brackets(stress)
+        times = np.abs(eigvals(solve(target(k), acoustic(brackets_from_elastic(tensor) + held, k))))
+        off = max(times.max(), 1 / times.min())
+        said = f"tensor: expected that of the symbol, whose long waves are off {off:.3g} times"
+        if off > OTHER:
+            raise InputError(said)
+        if off > UNLIKE:
+            warn(said)
     if not found.loss < ABSURD:
-        raise InputError(
-            f"tensor: expected that of the symbol, which is off {found.loss:.3g} times"
-        )
+        raise InputError(f"target: the crystal's answers are off {found.loss:.3g} times")
     return tensors.crystal(found, units, told, stress)
 
 
 def symmetry_of(atoms: ForceConstants, symmetry: Symmetry) -> Symmetry:
     """The symmetry asked for; of "auto" that which spglib finds."""
     return name_of(atoms.group()) if str(symmetry) == "auto" else symmetry
+
+
+def check_beside(spacing: float, cell: float, units: Units = USUAL) -> None:
+    """Raise InputError for nodes that are nearer, or further apart, than a cell is long by FAR."""
+    if not 1 / FAR < spacing / cell < FAR:
+        raise InputError(
+            f"spacing: expected nodes about as far apart as a cell of the atoms is long, "
+            f"{cell:.3g} {symbols(units)[0]}, got {spacing:g}"
+        )
 
 
 @typed
@@ -331,11 +356,7 @@ def fit_phonons(
     length, stress = factors(units, USUAL)
     name = symmetry_of(atoms, symmetry)
     cell = (atoms.volume / (atoms.thickness or 1.0)) ** (1 / d)
-    if not 1 / FAR < spacing * length / cell < FAR:
-        raise InputError(
-            f"spacing: expected nodes about as far apart as a cell of the atoms is long, "
-            f"{cell / length:.3g} {symbols(units)[0]}, got {spacing:g}"
-        )
+    check_beside(spacing, cell / length, units)
 
     def target(k: ndarray) -> ndarray:
         D = atoms.effective(k / length @ turn)  # k in the crystal's axes is Rᵗ k

@@ -41,7 +41,7 @@ from warp_peri.points.arguments import (
     taken,
 )
 from warp_peri.points.families import HORIZON_TOLERANCE
-from warp_peri.points.points import PointsLike, checked_axis, nodes_of
+from warp_peri.points.points import PointsLike, checked_axis, nodes_of, whole_numbers
 from warp_peri.runtime import ranks_started
 from warp_peri.solvers.motion import Motion, Recorder
 from warp_peri.solvers.solution import CG, TOLERANCE, Solution, Solver, by_sample, refuse_solver
@@ -239,8 +239,8 @@ def lattice(
     """
     comm = world()
     with agreed(comm):
-        shape = tuple(checked("shape", shape, int, ("d",)).tolist())
-        if len(shape) not in (2, 3) or min(shape) < 1:
+        shape = whole_numbers("shape", shape)
+        if len(shape) not in (2, 3):
             raise InputError(f"shape: expected two or three counts of nodes, got {list(shape)}")
         spacing = check_arguments(lattice, {"spacing": spacing})["spacing"]
         if np.shape(origin := checked("origin", origin)) not in ((), (len(shape),)):

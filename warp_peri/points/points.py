@@ -355,6 +355,12 @@ def unit_vectors(angle: Any) -> ndarray:
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
+def whole_numbers(name: str, values: Any) -> Shape:
+    """Check and return whole numbers ≥ 1 of a sequence or array; InputError for others."""
+    given = values if isinstance(values, Sequence) else np.atleast_1d(as_array(name, values))
+    return tuple(check_whole(name, one, 1) for one in given)
+
+
 def check_dimensions(name: str, count: int) -> None:
     """Raise InputError for another dimension, or number of sides, than 2 or 3."""
     if count not in (2, 3):
