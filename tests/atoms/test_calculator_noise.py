@@ -8,6 +8,7 @@ from ase.build import bulk
 from ase.calculators.calculator import Calculator
 from ase.calculators.emt import EMT
 from ase.neighborlist import neighbor_list
+from numpy import array, eye, pi, sqrt
 from numpy.linalg import eigh, inv, norm
 from numpy.random import default_rng
 
@@ -45,7 +46,7 @@ class Noisy(Calculator):
         one = atoms.copy()
         one.calc = self.inner
         forces, stress, random = one.get_forces(), one.get_stress(), self.rng.standard_normal
-        stress = stress + 0.1 * self.noise / np.sqrt(len(one)) * random(6)
+        stress = stress + 0.1 * self.noise / sqrt(len(one)) * random(6)
         forces = forces + self.noise * random(forces.shape)
         self.results = {**self.inner.results, "forces": forces, "stress": stress}
 
@@ -100,7 +101,7 @@ def test_broken_force_constants_are_brought_to_the_rules_and_the_shift_is_their_
     broken = from_supercell(cell, many, phi + size * noise, (0, 1))
     near(kept.doubt[0], kept.values - broken.values, 1e-12 * top, 1)
     off = (kept.values - true.values)[kept.vectors.any(1)]  # all sums are at the atoms
-    assert norm(off) < 0.3 * size * np.sqrt(noise.size)
+    assert norm(off) < 0.3 * size * sqrt(noise.size)
     kept = replace(kept, edge=0.0, cut=None)  # a supercell as narrow as this is warned of
     assert 0 < wp.atoms.crystal_from_force_constants(kept).unsure < 0.1
 
@@ -112,19 +113,19 @@ def test_an_imaginary_phonon_is_refused_beyond_three_standard_errors():
     unsure = replace(atoms, doubt=0.5 * atoms.values[None])
     check_phonons(unsure)
     with refused(r"a stable crystal, got the stiffness -[\d.e+-]+ eV"):
-        unsure.effective(np.array([[0.0, 0.0, 1.0], [0.9, 0.9, 0.9]]))
+        unsure.effective(array([[0.0, 0.0, 1.0], [0.9, 0.9, 0.9]]))
 
 
 def test_born_charges_sum_to_zero_and_their_self_term_is_symmetric():
     """Sites of symmetry 3: charges with an antisymmetric part, as of aluminium in corundum."""
-    turned = np.array([[2.9, 0.2, 0.0], [-0.2, 2.9, 0.0], [0.0, 0.0, 2.8]])
+    turned = array([[2.9, 0.2, 0.0], [-0.2, 2.9, 0.0], [0.0, 0.0, 2.8]])
     other = np.diag([-1.5, -2.1, -1.8])  # of two charges alone that are opposite all is symmetric
-    born = np.array([turned, other, 0.1 * np.eye(3) - turned - other])
-    polar = NonAnalyticCorrection(born, 3 * np.eye(3), decay=1.0)
+    born = array([turned, other, 0.1 * eye(3) - turned - other])
+    polar = NonAnalyticCorrection(born, 3 * eye(3), decay=1.0)
     assert sup(polar.born.sum(0)) < 1e-12
-    cell = np.array([[4.0, 0, 0], [-2.0, 12**0.5, 0], [0, 0, 5.0]])
-    x = np.array([[0, 0, 0], [2.0, 1.1, 1.3], [0.3, 2.0, 3.1]])
-    D = polar.matrix(np.array([[0.1, 0.2, 0.05]]), cell, x)[0].reshape(9, 9)
+    cell = array([[4.0, 0, 0], [-2.0, 12**0.5, 0], [0, 0, 5.0]])
+    x = array([[0, 0, 0], [2.0, 1.1, 1.3], [0.3, 2.0, 3.1]])
+    D = polar.matrix(array([[0.1, 0.2, 0.05]]), cell, x)[0].reshape(9, 9)
     near(D.conj().T, D, 1e-12)
 
 
@@ -155,7 +156,7 @@ class Dimpled(EMT):
 def stress(strain):
     """Of the dimpled crystal along x [GPa]."""
     cell = bulk("Al", a=2**0.5 * REST, cubic=True)
-    cell.set_cell(np.array(cell.cell) * [1 + strain, 1, 1], scale_atoms=True)
+    cell.set_cell(array(cell.cell) * [1 + strain, 1, 1], scale_atoms=True)
     cell.calc = Dimpled()
     return 160.2176634 * cell.get_stress()[0]
 
@@ -175,7 +176,7 @@ def test_a_surface_with_a_dimple_is_measured_beyond_it_and_its_spread_is_an_erro
     assert small > 1.2 * sizes[-1]  # the dimple is there
     assert abs(value - sizes[-1]) < bar
     assert abs(value - small) < 3 * bar < small
-    assert sup(value - np.array(sizes)) < 1.05 * bar
+    assert sup(value - array(sizes)) < 1.05 * bar
     assert "largest steps" in crystal.said["rough"]
 
 
@@ -188,7 +189,7 @@ def test_strains_tell_moduli_and_not_how_all_waves_change_with_the_displacement(
     _, free = every.rules()
     each = free @ free.T * (0.05 * np.tensordot(every.basis, phi, 4))
     each = every.values(np.tensordot(each.T, every.basis, 1))
-    k = np.array([[0.5, 0.5, 0], [0.5, 0, 0]]) @ (2 * np.pi * inv(cell.cell).T)
+    k = array([[0.5, 0.5, 0], [0.5, 0, 0]]) @ (2 * pi * inv(cell.cell).T)
     for spread in (each, None):
         share = []
         for _ in range(20):
@@ -200,7 +201,7 @@ def test_strains_tell_moduli_and_not_how_all_waves_change_with_the_displacement(
             size, waves = eigh(told.dynamical(k))
             off = np.einsum("kai,kab,kbi->ki", waves.conj(), true.dynamical(k), waves).real - size
             error = [told.stiffness_error(q, w.T.reshape(3, 1, 3)) for q, w in zip(k, waves)]
-            share.append(np.abs(off) < 2 * np.array(error))
+            share.append(np.abs(off) < 2 * array(error))
         within = np.mean(share)
         assert within > 0.9 if spread is not None else within < 0.6
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-from numpy import cos, eye, inf, pi, sin
+from numpy import array, cos, eye, inf, ones, pi, sin, zeros
 from numpy.linalg import eigvalsh
 from numpy.random import default_rng
 
@@ -19,10 +19,10 @@ from warp_peri.core.proof import StencilCertificate, largest, long_wave_radius, 
 from warp_peri.core.stencil import Stencil, laplacian, laplacian_stencil
 from warp_peri.materials.certificate import squared
 
-NOTHING = {d: np.array([eye(d), -eye(d)], dtype=int) for d in (2, 3)}
+NOTHING = {d: array([eye(d), -eye(d)], dtype=int) for d in (2, 3)}
 SQUARE = lattice_group(2)
-STEPS = np.array([[2, 0], [0, 2], [1, 0], [0, 1]])
-springs = lambda *sizes: Stencil(1.0, STEPS, np.array(sizes)[:, None, None] * eye(2))
+STEPS = array([[2, 0], [0, 2], [1, 0], [0, 1]])
+springs = lambda *sizes: Stencil(1.0, STEPS, array(sizes)[:, None, None] * eye(2))
 SOFT = springs(1.0, 1.0, -3.9, -3.9)
 """Positive at long waves alone, not far beyond the ball."""
 
@@ -48,13 +48,13 @@ def test_a_dip_between_the_points_of_the_sample_is_not_overlooked(monkeypatch):
     """Positive at the sampled waves, negative in between: nothing may be proven."""
     monkeypatch.setattr(proof, "zoomed", lambda _, k, reach: (np.full(len(k), inf), k))
     d, law, sample = 2, learned(2), proof.SAMPLE[2]
-    far = np.zeros((2, d), int)
+    far = zeros((2, d), int)
     far[:, 0] = 2 * sample, 4 * sample  # 1 − cos k·ξ vanishes on the sampled grid
-    dip = np.zeros((2, d, d))
+    dip = zeros((2, d, d))
     dip[:, 0, 0] = -0.2, 0.2
     steps = np.concatenate([law.steps, far])
     below = Stencil(1.0, steps, np.concatenate([law.tensors * law.spacing**2, dip]))
-    wave = np.zeros((1, d))
+    wave = zeros((1, d))
     wave[0, 0] = pi / far[0, 0]
     assert eigvalsh(below.symbol(wave))[0, 0] < 0
     found = prove(below, NOTHING[d])
@@ -69,7 +69,7 @@ def test_the_parts_of_the_proof_bound_what_they_claim(name, lam):
     stencil = kernel(name, 3.0, lam=lam).stencil(1.0).minus(laplacian_stencil(1.0, 2, 2), 0.1)
     rest, half = proof._most(stencil, sum(parts(stencil.tensors))), 0.05
     random, worst = default_rng(4), 0.0
-    for k in (*random.uniform(-pi, pi, (20, 2)), np.array([1e-2, 1e-2])):
+    for k in (*random.uniform(-pi, pi, (20, 2)), array([1e-2, 1e-2])):
         value, slopes = (one[..., 0, :, :] for one in proof._symbol_slopes(stencil, k[None]))
         assert slopes == approx(difference(lambda k: stencil.symbol(k[None])[0], k, 0.01), abs=1e-9)
         t = half * random.uniform(-1, 1, (200, 2))
@@ -88,7 +88,7 @@ def test_a_function_that_bends_down_within_a_cell_is_seen_to(height, positive, m
         return height - 2 * x[:, :, None] ** 2, -4 * x.T[:, :, None, None]
 
     def every(x, half):
-        return np.ones(len(x), bool)
+        return ones(len(x), bool)
 
     assert proof._positive(affine, 1.0, 1, 2.0, 0.0, every, 1000)[0] == positive
 
@@ -101,7 +101,7 @@ def test_the_ball_around_zero_is_sound(name):
     assert long > 0
     angle = np.linspace(0, pi, 50)
     ring = np.stack([cos(angle), sin(angle)], 1)
-    for c in np.array([0.0, 0.5, 0.9, 0.999]) * long:
+    for c in array([0.0, 0.5, 0.9, 0.999]) * long:
         less = stencil.minus(weight, c)
         radius = long_wave_radius(less, long - c)
         k = np.concatenate([radius * part * ring for part in (0.01, 0.3, 0.7, 1.0)])
@@ -120,7 +120,7 @@ def test_nothing_above_the_minimum_is_proven_and_curvature_is_set_aside(monkeypa
 
 def test_a_weight_is_what_it_says():
     """Of an odd field the square, of which the proof is a bound over all waves."""
-    steps = np.array([s for s in product((-1, 0, 1), repeat=2) if any(s)])
+    steps = array([s for s in product((-1, 0, 1), repeat=2) if any(s)])
     field = steps / (steps**2).sum(1)[:, None] / 3.0
     weight, phase = squared(1.0, steps, field), waves(2)
     expected = ((sin(phase @ steps.T) @ field) ** 2).sum(1)
@@ -171,7 +171,7 @@ def test_files_claim_what_is_proven_and_nothing_else(tmp_path):
 @parametrize("reach", [1, 2, 4])
 def test_differences_of_elasticity_have_their_order(reach):
     """Their symbol is that of the local solid, to (k h) to the power of twice their reach."""
-    C, k = voigt_to_tensor(plane_isotropic(0.3, 0.7)), np.array([0.3, 0.5])
+    C, k = voigt_to_tensor(plane_isotropic(0.3, 0.7)), array([0.3, 0.5])
     halvings = 0.5 ** np.arange(3)
     stencil = Stencil(1.0, *elastic.difference_tensors(C, reach))
     local = np.einsum("ijkl,j,l->ik", C, k, k)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy import array, cos, eye, sin, sqrt, zeros
 from numpy.linalg import norm
 from numpy.random import default_rng
 from scipy.linalg import expm
@@ -21,11 +22,11 @@ MAXWELL = polymer.UpperConvectedMaxwell()
 
 
 def test_a_step_of_dumbbells_is_exact_in_its_moments():
-    K, dt = np.array([0.3, 2.0, 0.5, -0.3]), 0.7
-    A = [[0.3, 2.0], [0.5, -0.3]] - np.eye(2) / 2
-    E = expm(np.block([[-A, np.eye(2)], [np.zeros((2, 2)), A.T]]) * dt)
+    K, dt = array([0.3, 2.0, 0.5, -0.3]), 0.7
+    A = [[0.3, 2.0], [0.5, -0.3]] - eye(2) / 2
+    E = expm(np.block([[-A, eye(2)], [zeros((2, 2)), A.T]]) * dt)
     P, L = propagator(K[None], dt)
-    lower = np.array([[L[0, 0], 0], [L[0, 1], L[0, 2]]])
+    lower = array([[L[0, 0], 0], [L[0, 1], L[0, 2]]])
     assert sup(P[0, :4].reshape(2, 2) - E[2:, 2:].T) < 1e-14
     assert sup(lower @ lower.T - E[2:, 2:].T @ E[:2, 2:]) < 1e-11
     assert P[0, 4] ** 2 + L[0, 3] ** 2 == approx(1, abs=1e-14)
@@ -36,10 +37,10 @@ def test_ensembles_follow_the_exact_law_and_any_threads_give_the_same_bits(threa
     record = simulate(Dumbbells(8, count, seed=1), K, 0.25)
     exact = homogeneous(MAXWELL, K, 0.25, parts=200)
     xx, xy, yy, zz = np.moveaxis(exact, -1, 0)
-    deviation = np.sqrt(np.stack([2 * xx**2, xx * yy + xy**2, 2 * yy**2, 2 * zz**2], -1) / count)
+    deviation = sqrt(np.stack([2 * xx**2, xx * yy + xy**2, 2 * yy**2, 2 * zz**2], -1) / count)
     error = (record.C - exact) / deviation
     assert sup(error) < 4.5  # of 416 normal numbers
-    assert 0.8 < np.sqrt(np.mean(error**2)) < 1.2
+    assert 0.8 < sqrt(np.mean(error**2)) < 1.2
     threads(3)
     near(simulate(Dumbbells(8, count, seed=1), K[:2], 0.25).C, record.C[:3], 0)
 
@@ -48,26 +49,26 @@ def test_ensembles_follow_the_exact_law_and_any_threads_give_the_same_bits(threa
 def test_a_process_finds_its_function_and_its_likelihood_has_the_right_slope(kernel):
     random = default_rng(0)
     X = random.normal(size=(60, 2))
-    y = np.sin(X[:, 0]) + X[:, 1] ** 2 / 4 + 1e-3 * random.normal(size=60)
+    y = sin(X[:, 0]) + X[:, 1] ** 2 / 4 + 1e-3 * random.normal(size=60)
     process = fit_process(X, y, kernel=kernel)
     new = random.uniform(-1, 1, (50, 2))
-    assert sup(process(new) - np.sin(new[:, 0]) - new[:, 1] ** 2 / 4) < 0.05
+    assert sup(process(new) - sin(new[:, 0]) - new[:, 1] ** 2 / 4) < 0.05
     given = X[:20], y[:20], kernel, None
     value, slope = (lambda t, n=n: unlikelihood(t, *given)[n] for n in (0, 1))
-    theta = np.array([0.1, 0.3, -0.2, -2.0])
+    theta = array([0.1, 0.3, -0.2, -2.0])
     assert check_grad(value, slope, theta, epsilon=1e-6) < 1e-4 * norm(slope(theta))
 
 
 def test_a_plane_flow_is_of_second_order_and_a_wall_moves_it():
     omega, errors, sizes = 60.0, [], [16, 32, 64]
     for cells in sizes:
-        flow = PlaneFlow(1e-3, 1e-2, cells, force=lambda t: 12 * (1 - np.cos(omega * t)))
+        flow = PlaneFlow(1e-3, 1e-2, cells, force=lambda t: 12 * (1 - cos(omega * t)))
         times = {"until": 0.05, "dt": flow.longest_step / 2, "every": cells // 8}
         run = polymer.run_plane(flow, MAXWELL, **times)
         exact = poiseuille(flow.faces, run.t, 1e-3, 1e-2, 12.0)
         exact -= oscillation(flow.faces, run.t, 1e-3, 1e-2, 12.0, omega)
         errors.append(relative_error(run.u, exact))
-    assert 1.85 < fitted_order(1 / np.array(sizes), errors) < 2.15
+    assert 1.85 < fitted_order(1 / array(sizes), errors) < 2.15
     flow = PlaneFlow(1.0, 10.0, 64, top=lambda t: 1.0)
     run = polymer.run_plane(flow, MAXWELL, until=20.0, dt=0.02, every=50)
     off = run.u - couette(flow.faces, run.t, 1.0, 10.0)
@@ -79,7 +80,7 @@ def test_a_plane_flow_is_of_second_order_and_a_wall_moves_it():
 def test_a_learned_shear_law_moves_plates_as_dumbbells_do():
     K = polymer.held(polymer.shear(np.linspace(-4, 4, 9)), 200)
     law = polymer.learn_shear(simulate(Dumbbells(9, 10_000), K, 0.025), window=2, outside="allow")
-    flow = PlaneFlow(1.0, 10.0, 32, top=np.sin)
+    flow = PlaneFlow(1.0, 10.0, 32, top=sin)
     run = lambda fluid: polymer.run_plane(flow, fluid, until=8.0, dt=0.02, every=20).u
     assert relative_error(run(law), run(MAXWELL)) < 0.02
 
@@ -127,7 +128,7 @@ def test_the_channel_against_the_exact_flow():
     run = polymer.run_channel(flow, MAXWELL, until=0.03, dt=dt)
     y = np.linspace(0, 1, 401)
     profile = poiseuille(y, run.t, flow.De, flow.Re, flow.force, modes=400)
-    exact = np.array([np.interp(x[:, 1], y, row) for x, row in zip(run.x, profile)])
+    exact = array([np.interp(x[:, 1], y, row) for x, row in zip(run.x, profile)])
     assert relative_error(run.v[..., 0], exact) < 0.0033
     assert sup(run.rho - 1) < 1e-4
     heights, u = run.profile(30)

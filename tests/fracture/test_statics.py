@@ -1,6 +1,7 @@
 """Cut bodies at rest: rates of a crack's opening, G and J, growth; inclusions, pressure."""
 
 import numpy as np
+from numpy import array, eye, pi, sqrt, zeros
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -19,7 +20,7 @@ from warp_peri.fracture.statics import CutSolid, crack_load
 
 
 def test_a_crack_converges():
-    counts = np.array([8, 12, 16])
+    counts = array([8, 12, 16])
     rows = [static_crack(n, 3.0, -0.28) for n in counts]
     assert fitted_order(1 / counts, [row["displacement"] for row in rows]) > 0.95
     assert fitted_order(1 / counts, [abs(row["G"]) for row in rows]) > 1.4
@@ -64,15 +65,15 @@ def test_j_in_space_is_that_of_a_straight_front_along_any_axis(axes, torn):
     z = x[:, 0] + 1j * x[:, 1]
     u = np.zeros_like(x)
     if torn:
-        u[:, 2] = (np.sqrt(z - 0.5) * np.sqrt(z + 0.5)).imag / mu
+        u[:, 2] = (sqrt(z - 0.5) * sqrt(z + 0.5)).imag / mu
     else:
         u[:, :2] = westergaard(x[:, :2], 0.5, 1.0, lam, mu)
-    expected = np.pi * 0.5 / (2 * mu if torn else model.E / (1 - model.nu**2))
-    turned, moved, tip = np.zeros_like(x), np.zeros_like(u), np.zeros(3)
+    expected = pi * 0.5 / (2 * mu if torn else model.E / (1 - model.nu**2))
+    turned, moved, tip = np.zeros_like(x), np.zeros_like(u), zeros(3)
     turned[:, place], moved[:, place], tip[place[0]] = x, u, -0.5
-    corners = np.zeros((4, 3))
+    corners = zeros((4, 3))
     corners[:, place] = [(-0.5, 0, -1), (0.5, 0, -1), (0.5, 0, 1), (-0.5, 0, 1)]
-    body, nobody = fracture.lattice_body(turned, h, 2 * h), np.zeros(len(x), bool)
+    body, nobody = fracture.lattice_body(turned, h, 2 * h), zeros(len(x), bool)
     cut = CutSolid(model, body, nobody, cracks=[corners], moves=True)
     near(j_integral(Solution(moved, None, cut, 0.0, "exact"), tip, (0.25, 0.5)), expected, 0.02)
 
@@ -102,7 +103,7 @@ def test_a_straight_front_in_space_spends_more_than_a_straight_cut():
 def test_a_dead_load_releases_what_its_work_leaves_over():
     """A plate with a central crack, pulled at its ends by a stress of one; just not loose."""
     body, model = plate(24, 48), solid(0.5).model
-    x, held, nothing = body.x, np.zeros(body.x.shape, bool), np.zeros(body.x.shape)
+    x, held, nothing = body.x, zeros(body.x.shape, bool), zeros(body.x.shape)
     below = np.flatnonzero((x[:, 1] == x[:, 1].min()) & (np.abs(x[:, 0]) < 1))
     held[below, 1], held[below[0], 0] = True, True
     ends = np.abs(x[:, 1:]) > 23
@@ -129,7 +130,7 @@ def test_a_tip_acts_further_than_it_is_cut():
 
 
 def test_inclusions_converge():
-    counts = np.array([8, 12, 16])
+    counts = array([8, 12, 16])
     errors = [inclusions.inclusion(n, *inclusions.CASES["stiff in soft"]) for n in counts]
     assert fitted_order(1 / counts, errors) > 0.95
     assert errors[-1] < 0.01
@@ -159,7 +160,7 @@ def test_cracks_in_any_direction_open_by_one_volume():
     points, opened = within(x, 4), []  # the last is held, with bonds along one axis
     for angle in (0, 90, 45):
         half = rotation(np.radians(angle))[:, 0] * 3.9
-        problem = Cracked(points, cracks=[[[0.02, 0] - half, half]], pressure=np.eye(2))
+        problem = Cracked(points, cracks=[[[0.02, 0] - half, half]], pressure=eye(2))
         opened += [fracture.crack_opening_volume(solve(kernel("1/r", 2.0), problem, solver=CG()))]
     assert opened[1:] == [approx(opened[0], rel=off) for off in (1e-6, 0.2)]
 
@@ -182,12 +183,12 @@ def test_the_load_of_a_crack_undoes_it(sides, crack):
     d = len(sides)
     body, model = plate(*sides), solid(0.4, dimension=d).model
     neighbour = cracked(body, [crack])
-    stress = np.array([[0.3, 0.1, 0.0], [0.1, -0.2, 0.2], [0.0, 0.2, 0.4]])[:d, :d]
+    stress = array([[0.3, 0.1, 0.0], [0.1, -0.2, 0.2], [0.0, 0.2, 0.4]])[:d, :d]
     edge = np.abs(body.x).max(1) > sides[0] / 2 - 1
     whole, cut = (CutSolid(model, body, edge, neighbour=n) for n in (body.neighbour, neighbour))
     load = crack_load(cut, stress)
     assert sup(load) > 1e-3
     assert sup(load.sum(0)) < 1e-13
-    strain = (stress - 0.4 / (2 + d * 0.4) * np.trace(stress) * np.eye(d)) / 2
+    strain = (stress - 0.4 / (2 + d * 0.4) * np.trace(stress) * eye(d)) / 2
     there, here = (one.times((body.x @ strain)[None])[0] for one in (whole, cut))
     assert_allclose(here + load, there, atol=1e-13)

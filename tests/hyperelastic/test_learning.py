@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from numpy import array, eye, nan, ones, sqrt, zeros
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -20,7 +21,7 @@ from warp_peri.materials.hyperelastic.sheet_fit import Search, Sections, fit_fib
 from warp_peri.points.points import PULL, Points, Samples, grid_places
 
 TRUE_ANGLE, TRUE_EXPONENT = 1.1, 2.0
-TRUTH = np.array([0.1] * 4 + [0.05, 0.15])
+TRUTH = array([0.1] * 4 + [0.05, 0.15])
 TIGHT = {"stiffness": 0.0, "most_steps": 20, "tolerance": 1e-9}
 
 
@@ -28,23 +29,23 @@ def sheet(angle=TRUE_ANGLE, exponent=TRUE_EXPONENT):
     return dictionary_of(("plane_stress",), ("fibre_exponential", angle, exponent))
 
 
-LOADED = np.array([0.2, 0.15, 0.1, 0.1, 0.07, 0.08, 0.2])
+LOADED = array([0.2, 0.15, 0.1, 0.1, 0.07, 0.08, 0.2])
 SCALED = TRUTH / (sheet().stiffness @ TRUTH)
 
 
 def made(numbers, amplitude):
     """Unloaded equilibria of the true sheet with bent edges."""
     points = square(5)
-    thickness = replace(ThicknessField.over(points.x, 2), numbers=np.array(numbers))
+    thickness = replace(ThicknessField.over(points.x, 2), numbers=array(numbers))
     op = sheet_on(points, sheet(), TRUTH, thickness.at(points.x))
     stretched = points.x @ [[0.25, 0.05], [0.0, 0.2]]
-    edges = np.array([stretched + waves(points, amplitude, seed) for seed in range(3)])
+    edges = array([stretched + waves(points, amplitude, seed) for seed in range(3)])
     return Samples(points, op.solve(None, edges).u), thickness
 
 
 @shared
 def frames():
-    return made(np.zeros(5), 0.25)[0]
+    return made(zeros(5), 0.25)[0]
 
 
 def noisy(frames, size=0.002):
@@ -64,7 +65,7 @@ def test_ratios_directions_and_exponents_are_found_and_the_scale_is_one(frames):
 
 
 def test_sensitivities_are_slopes_of_the_solved_displacement(frames):
-    uneven = replace(ThicknessField.over(frames.x, 1), numbers=np.array([0.3, -0.2]))
+    uneven = replace(ThicknessField.over(frames.x, 1), numbers=array([0.3, -0.2]))
     search = Search(frames[:1], sheet(1.0, 1.5), 0.0, True, uneven)
     place = search.settled(np.append(search.scaled(TRUTH), search.rest), frames.u, [0])
     place = search.settled(place.x, place.fields, [0])  # slopes of there
@@ -115,19 +116,19 @@ def test_thickness_and_material_are_found_together():
 
 def test_sections_go_from_edge_to_edge():
     """Of an affine field they carry its stress, edges included; a hole takes lines away."""
-    x, C, shape = 0.1 * grid_places((19, 14)), 0.4, np.array([[1.2, 0.1], [-0.05, 1.1]])
+    x, C, shape = 0.1 * grid_places((19, 14)), 0.4, array([[1.2, 0.1], [-0.05, 1.1]])
     dictionary = Hyperelastic(terms=(EnergyTerm("plane_stress"),))
-    solid = HyperelasticMaterial(dictionary, np.array([C]), 0.1)
+    solid = HyperelasticMaterial(dictionary, array([C]), 0.1)
     P = 2 * C * (shape - np.linalg.inv(shape).T / np.linalg.det(shape) ** 2)
 
     def sections(axis, kept):
         points = Points(x[kept], np.arange(kept.sum()) == 0, 0.1)
-        return Sections(Samples(points, (x[kept] @ (shape - np.eye(2)).T)[None]), dictionary, axis)
+        return Sections(Samples(points, (x[kept] @ (shape - eye(2)).T)[None]), dictionary, axis)
 
     for axis, across in enumerate((19, 14)):
-        whole, pull = sections(axis, np.ones(len(x), bool)), P[axis, axis]
+        whole, pull = sections(axis, ones(len(x), bool)), P[axis, axis]
         assert_allclose(whole.stress(0, solid, None), (across - 12) * [pull], rtol=1e-9)
-        thick = replace(ThicknessField.over(x, 1), numbers=np.array([0.3, -0.2]))
+        thick = replace(ThicknessField.over(x, 1), numbers=array([0.3, -0.2]))
         uneven = whole.stress(0, solid, thick)
         near(uneven.mean(), pull, 0.01)
         assert np.ptp(uneven) > 0.02 * pull
@@ -141,8 +142,8 @@ def test_forces_set_the_scale_and_their_scatter_is_told(frames):
     solid = HyperelasticMaterial(sheet(), TRUTH, frames.spacing)
     pulls = [sections.stress(n, solid, None).mean() for n in range(len(frames))]
     for known, error in ((slice(2, None), 0.0), (slice(None), 0.03)):
-        pull = np.full((len(frames), 2), np.nan)
-        pull[known, 1] = np.array(pulls)[known]
+        pull = np.full((len(frames), 2), nan)
+        pull[known, 1] = array(pulls)[known]
         pull[1, 1] *= 1 + error
         measured = replace(frames, arrays={PULL: torch.tensor(pull)})
         fit = wp.fit(measured, sheet(), **TIGHT)
@@ -157,7 +158,7 @@ def test_forces_set_the_scale_and_their_scatter_is_told(frames):
 def test_families_come_from_a_rose():
     terms = EnergyTerm("neo_hookean"), *fibres.fibre_fan(8, (2.0, 4.0))
     dictionary = Hyperelastic(3.0, NEAREST, terms)
-    c = np.zeros(len(dictionary))
+    c = zeros(len(dictionary))
     c[[4, 11, 13, 17]] = 0.07, 0.2, 0.1, 0.3
     solid = HyperelasticMaterial(dictionary, c, 0.1, stretch=1.3)
     for within, angles in ((0.0, [67.5, 90.0, 135.0]), (0.4, [75.0, 135.0])):
@@ -175,7 +176,7 @@ def test_the_thickness_is_the_exponential_of_a_polynomial():
     even = ThicknessField.over(x, 2)
     assert even.names == ["x", "y", "x^2", "x y", "y^2"]
     assert_array_equal(even.at(x), 1.0)
-    uneven = replace(even, numbers=np.array([0.1, -0.2, 0.3, 0.4, -0.5]))
+    uneven = replace(even, numbers=array([0.1, -0.2, 0.3, 0.4, -0.5]))
     p, q = 2 * ((x - x.min(0)) / np.ptp(x, axis=0)).T - 1
     expected = 0.1 * p - 0.2 * q + 0.3 * p**2 + 0.4 * p * q - 0.5 * q**2
     assert_allclose(np.log(uneven.at(x)), expected, atol=1e-14)
@@ -203,7 +204,7 @@ def test_least_squares_finds_the_truth_and_says_what_forces_leave():
     assert (fit.material.coefficients >= 0).all()
     b = loads.b[:, loads.interior]
     left, size = norms(fit.material.on(loads.points)(loads.u) - b, b)
-    assert fit.residual == approx(np.sqrt(np.mean((left / size) ** 2)))
+    assert fit.residual == approx(sqrt(np.mean((left / size) ** 2)))
     assert 0 < fit.residual < 0.2
 
 

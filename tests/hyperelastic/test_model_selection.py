@@ -5,6 +5,7 @@ from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import numpy as np
+from numpy import array, cos, eye, sin, zeros
 from numpy.linalg import det
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
@@ -36,14 +37,14 @@ from warp_peri.points.points import grid_places
 C1, C2 = 0.35, 0.15
 curves_of = lambda out: np.loadtxt(out / "curves.csv", delimiter=",", skiprows=1, unpack=True)
 """Stretches, then stress and both ends of its band along each direction."""
-HGO = HyperelasticMaterial(hgo_dictionary(), np.array([0.3] * 4 + [0.0713, 0.0780, 0.2]), 0.1)
+HGO = HyperelasticMaterial(hgo_dictionary(), array([0.3] * 4 + [0.0713, 0.0780, 0.2]), 0.1)
 """Its deviations vanish in uniform strain."""
 
 
 def solid(*terms):
     """A sheet of terms with coefficients."""
     terms, c = zip(*terms)
-    return HyperelasticMaterial(Hyperelastic(3.0, NEAREST, terms), np.array([0.1] * 4 + [*c]), 0.1)
+    return HyperelasticMaterial(Hyperelastic(3.0, NEAREST, terms), array([0.1] * 4 + [*c]), 0.1)
 
 
 SHEET = solid((EnergyTerm("plane_stress"), C1), (EnergyTerm("mooney"), C2))
@@ -71,7 +72,7 @@ def command(folder, out, *options):
 
 
 def test_uniaxial_tension_is_that_of_the_formula():
-    stretches = np.array([1.3, 1.3, 3.0, 1.01, 0.8])
+    stretches = array([1.3, 1.3, 3.0, 1.01, 0.8])
     for angle in (0.0, 0.7):
         assert_allclose(uniaxial_stress(SHEET, stretches, angle), tension(stretches), rtol=1e-8)
     slope, first = stretches - stretches**-2, stretches**2 + 2 / stretches - 3
@@ -82,7 +83,7 @@ def test_uniaxial_tension_is_that_of_the_formula():
 
 def test_the_command_passes_over_what_fails(tmp_path, monkeypatch):
     fit, points, out = model_selection.fit_sheet, square(8), tmp_path / "out"
-    table(tmp_path, points.x, fields_of(SHEET, points, np.array([[0.3, 0.05], [0.0, 0.1]])))
+    table(tmp_path, points.x, fields_of(SHEET, points, array([[0.3, 0.05], [0.0, 0.1]])))
 
     def broken(train, dictionary, **options):
         if len(dictionary.terms) == 1:
@@ -112,7 +113,7 @@ def test_an_even_sheet_that_stiffens_is_not_called_uneven():
     sheet, stretches = solid((EnergyTerm("plane_stress"), 0.25), *powers), [1.1, 1.3, 1.5]
     true = uniaxial_stress(sheet, stretches) / uniaxial_stress(sheet, [1.01])[0]
     points, rng = square(11), default_rng(3)
-    u = np.array(fields_of(sheet, points, np.array([[0.5, 0.05], [0.0, 0.2]])))
+    u = array(fields_of(sheet, points, array([[0.5, 0.05], [0.0, 0.2]])))
     u += 2e-4 * rng.standard_normal(u.shape)
     kept = rng.uniform(size=u.shape[:2]) >= 0.03
     frames = dic_to_lattice(
@@ -129,10 +130,10 @@ def test_an_even_sheet_that_stiffens_is_not_called_uneven():
 
 def test_a_band_is_no_narrower_than_the_misfit_and_deviations_have_none():
     """Fits that agree exactly, as those of one number do, know no more than the frames tell."""
-    even = SheetFit(SHEET, np.zeros(1), [], [])
+    even = SheetFit(SHEET, zeros(1), [], [])
     middle, low, high = Candidate("one", replace(even, others=[even] * 3), 0.01).curves([1.2])
     assert_allclose(high - low, 2 * 1.645 * 0.01 * middle, rtol=1e-3)
-    stiff = replace(SHEET, coefficients=np.array([282.0] * 4 + [0.4, 0.1]))
+    stiff = replace(SHEET, coefficients=array([282.0] * 4 + [0.4, 0.1]))
     rules = Candidate("rules", replace(even, material=stiff), 0.01)
     with refused("282 times as stiff .* in the place of a material"):
         rules.curves([1.2])
@@ -144,7 +145,7 @@ def stretched(mesh, energy, fixed, given, x, levels):
     """Fields of elements at parts of what is given, with noise of 0.002 spacings, and forces."""
     rng, u, fields, forces = default_rng(5), None, [], []
     for level in levels:
-        u = mesh.solve(energy, np.zeros(2 * mesh.nodes), fixed, level * given, start=u, steps=2)
+        u = mesh.solve(energy, zeros(2 * mesh.nodes), fixed, level * given, start=u, steps=2)
         fields.append(mesh.sample(u, x) + 2e-4 * rng.standard_normal(x.shape))
         forces.append(mesh.forces(mesh.state(energy, u)[0], u))
     return fields, forces
@@ -176,7 +177,7 @@ def test_the_command_finds_families_of_fibres(tmp_path):
 def test_a_rubber_sheet_with_a_hole_pulls_as_it_should(tmp_path, error):
     """With a force a frame, or one: tension within its band and within 2 %."""
     skfem = finite_elements()
-    width, radius = np.array([5.0, 3.6]), 0.4
+    width, radius = array([5.0, 3.6]), 0.4
     outline = mesh_outline(box(*width), [Circle(radius, size=0.12)], size=0.4)
     x, cells = (np.ascontiguousarray(one.T) for one in (outline.x, outline.cells))
     mesh = Elements(skfem.MeshTri(x, cells), skfem.ElementTriP2())
@@ -189,8 +190,8 @@ def test_a_rubber_sheet_with_a_hole_pulls_as_it_should(tmp_path, error):
     fields, forces = stretched(mesh, *how)
     table(tmp_path, x, fields)
     right = 2 * ends[mesh.x[ends, 0] > 0]
-    stresses = np.array([force[right].sum() / width[1] for force in forces])
-    stresses *= 1 + error * np.array([0.3, -1.0, 0.6, 0.5])
+    stresses = array([force[right].sum() / width[1] for force in forces])
+    stresses *= 1 + error * array([0.3, -1.0, 0.6, 0.5])
     for number, told in enumerate((stresses, stresses[-1:])):
         command(tmp_path, out := tmp_path / f"out{number}", "--stress", *map(str, told))
         stretches, middle, low, high, *_ = curves_of(out)
@@ -213,16 +214,16 @@ def of_febio(text, F):
             total += p["k"] / 2 * ((J**2 - 1) / 2 - np.log(J))
         else:
             theta = np.deg2rad(float(solid.find("fiber/theta").text))
-            n = np.array([np.cos(theta), np.sin(theta)])
+            n = array([cos(theta), sin(theta)])
             x = max(n @ C @ n - 1, 0.0) ** p["beta"]
             total += p["ksi"] / (p["alpha"] * p["beta"]) * np.expm1(p["alpha"] * x)
     return total
 
 
 def test_febio_has_the_learned_energy_and_words_its_numbers(tmp_path):
-    F = np.array([[0.8, 0.0], [0.3, 1.4]])
+    F = array([[0.8, 0.0], [0.3, 1.4]])
     op = HGO.on(square(1))
-    (learned,) = op.nodal_energy(op.points.x @ (F - np.eye(2)).T)[op.interior]
+    (learned,) = op.nodal_energy(op.points.x @ (F - eye(2)).T)[op.interior]
     assert of_febio(febio_material(HGO), F) == approx(float(learned), rel=1e-10)
     words = in_words(HGO)
     assert words[0] == "matrix: shear modulus 0.1426, volumetric coefficient 0.078"

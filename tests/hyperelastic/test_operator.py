@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
+from numpy import array, cos, eye, nan, ones, sin, zeros
 from numpy.linalg import norm
 from numpy.random import default_rng
 from scipy.ndimage import binary_dilation
@@ -27,7 +28,7 @@ POINTS, HGO = square(4), hgo_dictionary()
 FRAMES = wp.Samples(POINTS, np.stack([waves(POINTS, 0.3, seed) for seed in range(3)]))
 LOADS = wp.Samples(POINTS, FRAMES.u, np.ones_like(FRAMES.u))
 AFFINE = np.stack([0.1 * POINTS.x, POINTS.x @ [[0.2, 0.1], [0.0, 0.3]]])
-ALL, FEW = np.ones(len(POINTS.x), bool), POINTS.interior.copy()
+ALL, FEW = ones(len(POINTS.x), bool), POINTS.interior.copy()
 FEW[np.flatnonzero(FEW)[3:]] = False
 BOND = (EnergyTerm("neo_hookean"), EnergyTerm("fibre_exponential", step=(1, 0)))
 
@@ -72,7 +73,7 @@ def test_the_force_of_a_fibre_by_its_numbers_and_of_a_sheet_by_its_thickness(pro
             if getattr(dictionary.terms[number], by) != leave:
                 near(found, slope(partial(force, number, by), 1e-5, order=2), 1e-6)
     slopes = 10 * v[0]
-    thickness = np.ones(len(slopes)) if op.thickness is None else op.thickness
+    thickness = ones(len(slopes)) if op.thickness is None else op.thickness
     moved = lambda t: op.changed(op.model, thickness + t * slopes[:, 1]).force(u)
     found, expected = op.by_thickness(u, slopes)[..., 1], slope(moved, 1e-2, order=2)
     near(found, expected, 1e-11, sup(op.force(u)))
@@ -80,8 +81,8 @@ def test_the_force_of_a_fibre_by_its_numbers_and_of_a_sheet_by_its_thickness(pro
 
 def test_a_uniform_strain_is_seen_along_fibres_too_and_has_no_force():
     op = sheet_on(square(2), everything())
-    F = np.array([[1.25, 0.1], [-0.2, 0.9]])
-    u, C = op.points.x @ (F - np.eye(2)).T, F.T @ F
+    F = array([[1.25, 0.1], [-0.2, 0.9]])
+    u, C = op.points.x @ (F - eye(2)).T, F.T @ F
     assert sup(op.force(u)) < 1e-9 / SPACING
     E = [(C[0, 0] - 1) / 2, (C[1, 1] - 1) / 2, C[0, 1]]
     assert sup(op.strain(u)[op.interior] - E) <= 1e-12
@@ -89,7 +90,7 @@ def test_a_uniform_strain_is_seen_along_fibres_too_and_has_no_force():
     assert op.nodal_energy(u)[op.interior] == approx(stored, rel=1e-12)
     assert op.largest_stretch(u) == approx(norm(F, 2))
     one = sheet_on(op.points, Hyperelastic(3.0, terms=(EnergyTerm("fibre_power", -0.2, 2.0),)))
-    stretched = np.sum((F @ [np.cos(0.2), -np.sin(0.2)]) ** 2) - 1
+    stretched = np.sum((F @ [cos(0.2), -sin(0.2)]) ** 2) - 1
     assert one.nodal_energy(u)[op.interior] == approx(stretched**2 / 2, rel=1e-12, abs=0)
 
 
@@ -100,10 +101,10 @@ def test_the_force_converges_with_the_fourth_power_of_the_spacing():
     for h in spacings:
         points = Points(h * steps, (steps == 0).all(1), h)
         x = points.x
-        u = x @ np.array([[0.1, 0.02], [0.03, 0.25]]).T
-        u += 0.05 * np.sin(2 * x[:, ::-1] + 0.4) + 0.03 * np.cos(1.5 * x + 0.2)
+        u = x @ array([[0.1, 0.02], [0.03, 0.25]]).T
+        u += 0.05 * sin(2 * x[:, ::-1] + 0.4) + 0.03 * cos(1.5 * x + 0.2)
         forces.append(sheet_on(points, c=c).force(u)[0])
-    assert fitted_order(spacings[:3], norm(np.array(forces[:3]) - forces[3], axis=1)) > 3.5
+    assert fitted_order(spacings[:3], norm(array(forces[:3]) - forces[3], axis=1)) > 3.5
 
 
 def test_energies_of_bonds_and_corners_are_those_of_their_formulas():
@@ -111,7 +112,7 @@ def test_energies_of_bonds_and_corners_are_those_of_their_formulas():
     points = square(3)
     u, inside = waves(points, 0.3), points.interior.reshape(15, 15)
     y = (points.x + u).reshape(15, 15, 2) / SPACING
-    near_it = binary_dilation(inside, np.ones((3, 3)))
+    near_it = binary_dilation(inside, ones((3, 3)))
     ahead = lambda field, *step: np.roll(field, np.negative(step), (0, 1))
     mooney = lambda C, D, seen: (D + C / D - 3)[seen].sum()
 
@@ -133,14 +134,14 @@ def test_every_coefficient_has_a_label_and_terms_without_one_can_go():
     labels = [energy.label for energy in everything().energies]
     assert len(set(labels)) == len(labels)
     assert (labels[0], labels[5]) == ("deviation (0, 1)", "neo_hookean")
-    solid = HyperelasticMaterial(hgo_dictionary(), np.array([0, 0, 0, 0.1, 0.07, 0.0, 0.2]), 0.1)
+    solid = HyperelasticMaterial(hgo_dictionary(), array([0, 0, 0, 0.1, 0.07, 0.0, 0.2]), 0.1)
     kinds = [term.kind for term in solid.sparse.dictionary.terms]
     assert kinds == ["neo_hookean", "fibre_exponential"]
     assert solid.sparse.coefficients.tolist() == [0, 0, 0, 0.1, 0.07, 0.2]
 
 
 def solid(dictionary, count=None):
-    return HyperelasticMaterial(dictionary, np.ones(count or len(dictionary)), 0.1)
+    return HyperelasticMaterial(dictionary, ones(count or len(dictionary)), 0.1)
 
 
 def fit(samples=FRAMES, u=None, **options):
@@ -160,21 +161,21 @@ REFUSED = {
     "sides of a corner": lambda: EnergyTerm("mooney", corner=True, step=(1, 0)),
     "at least one energy": Hyperelastic,
     "coefficients: expected finite values, got nan":
-        lambda: replace(solid(HGO), coefficients=np.full(7, np.nan)),
+        lambda: replace(solid(HGO), coefficients=np.full(7, nan)),
     r"coefficients: expected shape \[7\]": lambda: solid(HGO, 6),
     "coefficients: expected one other than 0":
-        lambda: sheet_on(POINTS, HGO, np.zeros(7)).interior_tangent(0 * POINTS.x),
+        lambda: sheet_on(POINTS, HGO, zeros(7)).interior_tangent(0 * POINTS.x),
     "twice the horizon": lambda: sheet_on(Points(POINTS.x, ALL, 0.1)),
     "spacing|scattered": lambda: sheet_on(Points(POINTS.x, ALL, 0.0)),
     "axis: directions of a hyperelastic": lambda: sheet_on(replace(POINTS, axis=10.0)),
-    "thickness: expected shape": lambda: sheet_on(POINTS, thickness=np.ones(3)),
+    "thickness: expected shape": lambda: sheet_on(POINTS, thickness=ones(3)),
     "thickness: expected finite numbers > 0": lambda: sheet_on(POINTS, thickness=0 * ALL),
     "seen: expected shape": fit(replace(FRAMES, arrays={"seen": 3 * [[True]]})),
     "whole number from 1 to 6": lambda: ThicknessField.over(POINTS.x, 7),
     "x: expected nodes": lambda: ThicknessField.over(POINTS.x[:0], 2),
     "count: expected 1 to 10 000": lambda: wp.hyperelastic.fibre_fan(10**15),
     r"numbers: expected shape \[5\]":
-        lambda: replace(ThicknessField.over(POINTS.x, 2), numbers=np.ones(4)),
+        lambda: replace(ThicknessField.over(POINTS.x, 2), numbers=ones(4)),
     "expected neo_hookean and volumetric": lambda: febio_material(solid(Hyperelastic(terms=BOND))),
     r"stretches: expected shape \[n\]": lambda: uniaxial_stress(solid(HGO), 1.1),
     "stretches: expected such": lambda: uniaxial_stress(solid(HGO), [0.1]),
@@ -187,7 +188,7 @@ REFUSED = {
     r"expected strains of 2 % or more in one, got [01]\.\d": fit(u=0.05 * FRAMES.u),
     "70 measured components inside for 7 numbers, got 18":
         fit(wp.Samples(replace(POINTS, interior=FEW), FRAMES.u)),
-    "start: expected shape": fit(start=np.ones(2)),
+    "start: expected shape": fit(start=ones(2)),
     "start: expected .* 7 of 7 masked": fit(LOADS, start=np.ma.masked_all(7)),
     "loads that the energies explain, 100 %": fit(wp.Samples(POINTS, 0 * FRAMES.u, LOADS.b)),
     "0 or at least 8": partial(select_model, FRAMES[[0, 1, 2, 2]], fibres=3),

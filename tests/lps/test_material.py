@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import scipy.linalg
+from numpy import array, cos, eye, nan, ones, pi, sin
 from numpy.testing import assert_allclose
 
 from tests.support import approx, assert_refused, clouds, near, parametrize, refused, sup, warned
@@ -36,7 +37,7 @@ def test_continuum_constants_are_those_of_plane_stress_and_of_space():
 def test_a_spacing_is_the_certified_one_to_a_millionth():
     """Of a plain kernel at the bond lengths of the lattice that swings by a million beside them."""
     unseen = scipy.linalg.null_space(bernstein_basis(bond_classes(5.0, 12.5).r, 12.5, 10))
-    D, here = np.ones(11) + 1e6 * unseen.sum(1), lattice(6, 12.5, 5.0)
+    D, here = ones(11) + 1e6 * unseen.sum(1), lattice(6, 12.5, 5.0)
     wild, u = plain(12.5, D=D, certified_on=(5.0,)), noise(here)
     little = 1 - 0.99e-6
     assert certify(wild, spacing=little * 5) == certify(wild, spacing=5.0)
@@ -65,9 +66,9 @@ def test_the_polynomial_is_the_function_at_every_bond_and_near_it_between(shape)
 
 def test_slopes_beside_zero_and_at_the_bounds_and_those_of_the_formula():
     for phase in (1e-12, 0.0, 1.0):
-        wave = lambda r, phase: np.cos(r + phase)
+        wave = lambda r, phase: cos(r + phase)
         shape = InfluenceFunction(wave, {"phase": phase}, {"phase": (0.0, 1.0)})
-        expected = -np.sin(LENGTHS + phase)[:, None]
+        expected = -sin(LENGTHS + phase)[:, None]
         assert_allclose(shape.slopes(LENGTHS), expected, atol=1e-10)
     expected = 2 * LENGTHS**2 / 1.9**3 * gaussian(LENGTHS, 1.9)
     assert_allclose(SHAPES["gaussian"].slopes(LENGTHS)[:, 0], expected, rtol=1e-11)
@@ -88,7 +89,7 @@ def test_what_makes_no_sense_is_refused_in_words():
         "D: expected at least one coefficient, at most 1001, got 0": numbers(D=[]),
         "D: expected a coefficient other than 0": numbers(D=[0.0, 0.0]),
         "D: expected a list of numbers, got lists": numbers(D=[[1.0, 2.0]]),
-        "width: expected finite values": made(gaussian, width=np.nan),
+        "width: expected finite values": made(gaussian, width=nan),
         r"bounds of width: expected \(lowest, highest\), got 5": bounded({"width": 5}),
         "no parameter 'reach'; there are: width": bounded({"reach": (0, 1)}),
         "are not within": bounded({"width": (3, 4)}),
@@ -100,7 +101,7 @@ def test_what_makes_no_sense_is_refused_in_words():
         "of one shape": lambda: table([0, 1], [1.0]),
         "rising": lambda: table([1, 0], [1.0, 1.0]),
         "table: expected K at all bonds, 1 to 3, got it at": (tabled(0.1, 1), tabled(1.1, 3)),
-        "certified_on: expected a list, got array": numbers(certified_on=np.array(1.0)),
+        "certified_on: expected a list, got array": numbers(certified_on=array(1.0)),
     })  # fmt: skip
 
 
@@ -110,7 +111,7 @@ def test_an_affine_field_has_the_stress_of_hooke(points):
     G = normal((d, d), 2)
     model = plain(HORIZON) if d == 2 else clouds.solid(2.0)
     fields, strain = node_fields(model, points, points.x @ G.T), (G + G.T) / 2
-    stress = model.lam * np.trace(G) * np.eye(d) + 2 * model.mu * strain
+    stress = model.lam * np.trace(G) * eye(d) + 2 * model.mu * strain
     assert_allclose(fields.stress - stress, 0, atol=1e-9)
     assert_allclose(fields.strain - strain, 0, atol=1e-9)
     if points.spacing:
@@ -119,14 +120,14 @@ def test_an_affine_field_has_the_stress_of_hooke(points):
 
 
 def test_its_divergence_balances_the_force_to_second_order():
-    errors, spacings, k = [], (1.0, 0.5, 0.25), 2 * np.pi / 24
+    errors, spacings, k = [], (1.0, 0.5, 0.25), 2 * pi / 24
     for h in spacings:
         n = round(24 / h)
         points, model = Points.sheet((n, n), h), kernel("1/r", 3 * h, h)
         x, y = points.x.T
-        u = np.c_[np.sin(k * x) * np.cos(k * y), np.cos(2 * k * x + k * y)]
+        u = np.c_[sin(k * x) * cos(k * y), cos(2 * k * x + k * y)]
         stress = node_fields(model, points, u).stress.reshape(n, n, 2, 2)
-        wave, of = 2j * np.pi * np.fft.fftfreq(n, h), np.fft.fft2(stress, axes=(0, 1))
+        wave, of = 2j * pi * np.fft.fftfreq(n, h), np.fft.fft2(stress, axes=(0, 1))
         divergence = of[..., 0] * wave[:, None, None] + of[..., 1] * wave[None, :, None]
         balance = np.fft.ifft2(divergence, axes=(0, 1)).real.reshape(-1, 2)
         force = model.on(points)(u)
@@ -136,7 +137,7 @@ def test_its_divergence_balances_the_force_to_second_order():
 
 def test_stress_is_that_of_nearest_images_and_of_complete_families():
     points = periodic_cloud(9)
-    moved = replace(points, x=np.mod(points.x + np.array([3.3, 4.7]), points.box))  # cut elsewhere
+    moved = replace(points, x=np.mod(points.x + array([3.3, 4.7]), points.box))  # cut elsewhere
     model, u = kernel("positive", HORIZON), noise(points)
     here, there = (node_fields(model, one, u) for one in (points, moved))
     for part, expected in vars(here).items():

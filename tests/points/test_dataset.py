@@ -7,6 +7,7 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
+from numpy import array, inf, nan, ones, zeros
 from numpy.testing import assert_array_equal
 
 from tests.support import approx, assert_refused, each_refused, refused, warned
@@ -19,7 +20,7 @@ from warp_peri.points.families import families_of
 
 GRID = lattice(2, 1.0, spacing=2.5)
 N = len(GRID.x)
-ARRAYS = {"load_id": np.array(["a", "β", "c d"]), "snr": np.array([1.0, np.inf, np.nan])}
+ARRAYS = {"load_id": array(["a", "β", "c d"]), "snr": array([1.0, inf, nan])}
 LOADS = Samples(GRID, noise(GRID, 3), noise(GRID, 3, seed=1), arrays=ARRAYS)
 CUT = replace(GRID, box=(20.0, 30.0), outside=~GRID.interior & (GRID.x[:, 0] < 0))
 CUBE = replace(Points.sheet((3.0, 4, 5), 1.0), axis=[[0, 1, 0], [-1, 0, 0], [0, 0, 1.0]])
@@ -63,7 +64,7 @@ def test_a_disk_that_fills_leaves_the_old_file(path):
             with pytest.raises(OSError, match="File too large"):
                 save_dataset(path, DATA)
             with refused("cannot be written"):
-                write_arrays(path, {"u": np.ones(len(old))}, {})
+                write_arrays(path, {"u": ones(len(old))}, {})
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, usual)
         assert ([*path.parent.iterdir()], path.read_bytes()) == ([path], old)
@@ -101,10 +102,10 @@ def test_a_wrong_file_is_refused_by_name_before_memory_is_taken(path):
         (attribute("box_nodes", 5.0, "train"), "set 'train': attributes: .* got 'box_nodes'"),
         (attribute("spacing", -5.0, "train"), "set 'train': spacing: .* got -5.0"),
         (put("x"), "set 'train': arrays missing: x"),
-        (put("x", np.ones((N, 4))), rf"set 'train': x: .*\[N, 3\].* got \[{N}, 4\]"),
-        (first("x", np.nan), r"set 'train': x: expected finite .* nan at index \[1, 1\]"),
-        (put("u", np.ones((3, N - 1, 2))), rf"u: .* got \[3, {N - 1}, 2\]"),
-        (put("snr", np.ones(2)), "snr: expected one entry for each of 3 samples"),
+        (put("x", ones((N, 4))), rf"set 'train': x: .*\[N, 3\].* got \[{N}, 4\]"),
+        (first("x", nan), r"set 'train': x: expected finite .* nan at index \[1, 1\]"),
+        (put("u", ones((3, N - 1, 2))), rf"u: .* got \[3, {N - 1}, 2\]"),
+        (put("snr", ones(2)), "snr: expected one entry for each of 3 samples"),
         (lambda file: [file.pop(name) for name in DATA], "at least one point set"),
         (lambda file: file.create_dataset("more", data=[1.0]), "set 'more': arrays missing: x, u"),
         (lambda file: file.create_group("train/more"), "set 'train': more: expected an array"),
@@ -143,13 +144,13 @@ def test_what_is_no_data_set_is_refused_and_one_without_hash_or_units_is_taken(p
 def test_what_is_wrong_in_memory_is_refused_by_name():
     nm = replace(LOADS, points=replace(GRID, units=OTHER))
     each_refused(lambda good, change: replace(good, **change), {
-        r"x: .*N > 0, got \[0, 2\]": (GRID, {"x": np.ones((0, 2))}),
-        "interior: expected at least one": (GRID, {"interior": np.zeros(N, bool)}),
-        "true for no interior node": (GRID, {"outside": np.ones(N, bool)}),
-        r"axis: expected an angle \[degrees\], got nan": (GRID, {"axis": np.nan}),
+        r"x: .*N > 0, got \[0, 2\]": (GRID, {"x": ones((0, 2))}),
+        "interior: expected at least one": (GRID, {"interior": zeros(N, bool)}),
+        "true for no interior node": (GRID, {"outside": ones(N, bool)}),
+        r"axis: expected an angle \[degrees\], got nan": (GRID, {"axis": nan}),
         "axis: expected an angle .* 1e.300": (GRID, {"axis": 1e300}),
-        "axis: expected a rotation": (CUBE, {"axis": np.ones((3, 3))}),
-        "arrays: 'u' cannot be the name of an array": (LOADS, {"arrays": {"u": np.ones(3)}}),
+        "axis: expected a rotation": (CUBE, {"axis": ones((3, 3))}),
+        "arrays: 'u' cannot be the name of an array": (LOADS, {"arrays": {"u": ones(3)}}),
         "k: expected numbers or text, got object": (LOADS, {"arrays": {"k": [None] * len(LOADS)}}),
         r"numbers or text, got \|S1": (LOADS, {"arrays": {"n": [b"\xff"] * len(LOADS)}}),
         "same for all sets, got a in angstrom and TPa, b in":
@@ -182,7 +183,7 @@ def test_the_one_set_or_that_of_the_usual_name_is_meant_where_none_is_named():
 
 def test_files_carry_their_units_and_an_argument_converts(tmp_path):
     path = tmp_path / "data.h5"
-    arrays = {"wave_vector": 3 * [[1, 1]], "pull": 3 * [[np.nan, 1]]}
+    arrays = {"wave_vector": 3 * [[1, 1]], "pull": 3 * [[nan, 1]]}
     for units, length, stress in ((OTHER, 10.0, 1e-3), ("ase", 1.0, 0.1602176634)):
         points = replace(GRID, units=units)
         data = Dataset({"a": replace(LOADS, points=points, arrays=arrays)}, 3.35, 2267.0)
@@ -201,7 +202,7 @@ def test_files_carry_their_units_and_an_argument_converts(tmp_path):
     assert factors("si", "metal") == approx((1e10, 1e-5))
     assert_refused({
         "length_unit: .* one of angstrom, nm, .* 'mile'": lambda: load(path, units=("mile", "TPa")),
-        "length_unit: .*, got '": lambda: load(path, units=np.ones((2, 2))),
+        "length_unit: .*, got '": lambda: load(path, units=ones((2, 2))),
         "or ase, metal, si, reduced, got 'cgs'": lambda: load(path, units="cgs"),
     })  # fmt: skip
     save(path, replace(DATA, sets={"a": replace(LOADS, points=replace(GRID, units="reduced"))}))
@@ -217,7 +218,7 @@ def test_a_block_has_a_collar_of_two_horizons():
 
 def test_samples_and_sets_are_taken_apart_as_sequences_and_mappings():
     points = Points.disk(1.0, 1.0, 1.0)
-    u = np.arange(3.0)[:, None, None] + np.zeros((3, *points.x.shape))
+    u = np.arange(3.0)[:, None, None] + zeros((3, *points.x.shape))
     samples = Samples(points, u, -u, {"seed": np.arange(3)})
     assert [one.u[0, 0, 0] for one in samples] == [0, 1, 2]
     some = samples[[2, 0]]

@@ -7,6 +7,7 @@ from itertools import permutations
 import meshio
 import numpy as np
 import torch
+from numpy import array, eye, pi
 from numpy.linalg import det, norm
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -21,7 +22,7 @@ from warp_peri.points.outlines import Circle, Polygon, box, mesh_outline
 
 HALVES = [[0, 1, 2], [0, 2, 3]]
 SIXTHS = []
-for order in permutations(np.eye(3, dtype=int).tolist()):
+for order in permutations(eye(3, dtype=int).tolist()):
     walk = np.cumsum([(0, 0, 0), *order], axis=0)
     turn = {(0, 0): 0, (1, 0): 1, (1, 1): 2, (0, 1): 3}
     SIXTHS.append([turn[x, y] + 4 * z for x, y, z in walk.tolist()])
@@ -80,11 +81,11 @@ def test_an_outline_has_its_parts_curves_holes_and_distances():
     assert_allclose(mesh.hole_sizes, [10], rtol=1e-2)
     for x in (mesh.x[mesh.faces[mesh.parts["hole"]][:, 0]], mesh.middle[mesh.parts["hole"]]):
         assert_allclose(norm(x - (3, 1), axis=1), 5, rtol=1e-6)
-    assert size(mesh) == approx(40 * 30 - np.pi * 25, rel=1e-2)
-    assert_allclose(mesh.distance(np.array([[0.0, 14.0], [9.0, 1.0]]), 0.01), [1, 1], atol=1e-3)
-    assert (mesh.holding(np.array([[3.0, 1], [21, 0]])) == -1).all()
+    assert size(mesh) == approx(40 * 30 - pi * 25, rel=1e-2)
+    assert_allclose(mesh.distance(array([[0.0, 14.0], [9.0, 1.0]]), 0.01), [1, 1], atol=1e-3)
+    assert (mesh.holding(array([[3.0, 1], [21, 0]])) == -1).all()
     corners = ((0, 0), (10, 0), (10, 4), (4, 4), (4, 10), (0, 10))
-    matrix = np.array(corners[::-1]).view(np.matrix)
+    matrix = array(corners[::-1]).view(np.matrix)
     for given in (corners[::-1], matrix, torch.tensor(matrix), (*corners, (1e-12, -1e-12))):
         assert size(mesh_outline(Polygon(given), size=2)) == approx(64)
     hole = Polygon(((0, 0), (3, 0), (0, 3)), ("cut",))
@@ -133,7 +134,7 @@ def test_cells_that_overlap_or_share_parts_of_facets_are_refused(d):
     ):
         x, small = grid(*d * [count], size=ratio * 1e-6)
         with refused(words):
-            body(*joined(grid(*d * [2], size=1e-6), (x + 1e-6 * np.array(shift[:d]), small)))
+            body(*joined(grid(*d * [2], size=1e-6), (x + 1e-6 * array(shift[:d]), small)))
 
 
 def test_a_crack_with_a_width_is_an_outline_and_one_without_is_closed():
@@ -154,7 +155,7 @@ LINES = {"left": [[0, 1], [1, 2]], "right": [[6, 7], [7, 8]], "low": [[0, 3], [3
 
 
 def test_what_is_no_mesh_of_a_body_is_refused():
-    square = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
+    square = array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
     each_refused(make_mesh, {
         "0 and 1 lie on one side of their": (square, [[0, 1, 2], [0, 2, 1]]),
         "number 0 has no area": (square, [[0, 1, 1]]),
@@ -162,7 +163,7 @@ def test_what_is_no_mesh_of_a_body_is_refused():
         "part 'a': expected edges of the outline, 1 of 1": (NINE, TRIANGLES, {"a": [[1, 4]]}),
         r"part 'a': expected shape \[n, 2\]": (square, HALVES, {"a": [[0, 1, 2]]}),
         "part 'a': expected an array": (square, HALVES, {"a": [[0], [1, 2]]}),
-        "part 'a': expected finite .*; at most 9": (square, HALVES, {"a": np.array([[2**63] * 2])}),
+        "part 'a': expected finite .*; at most 9": (square, HALVES, {"a": array([[2**63] * 2])}),
         "faces of the surface, 1 of 1": (CUBE, EIGHT[0][SIXTHS], {"a": [EIGHT[0][[0, 1, 6]]]}),
         "middle: expected": (square, HALVES, {}, {(0, 1): -1.0}),
         "middle: expected .*": (square, HALVES, {}, {(0, 9): (0.5, 0.0)}),
@@ -185,9 +186,9 @@ def test_a_mesh_holds_what_was_checked_each_face_of_a_part_once():
 def test_a_file_of_second_order_keeps_the_curve(tmp_path):
     x, tags = [[0, 0, 0], [2, 0, 0], [0, 2, 0], [1, -0.3, 0], [1, 1, 0], [0, 1, 0]], [[7], [8]]
     written = meshio.Mesh(
-        np.array(x), [("line", [[0, 1]]), ("triangle6", [[0, 1, 2, 3, 4, 5]])],
+        array(x), [("line", [[0, 1]]), ("triangle6", [[0, 1, 2, 3, 4, 5]])],
         cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
-        field_data={"bent": np.array([7, 1])},
+        field_data={"bent": array([7, 1])},
     )  # fmt: skip
     written.write(tmp_path / "a.msh", file_format="gmsh22", binary=False)
     written.cell_data, written.field_data = {}, {}
@@ -202,8 +203,8 @@ def test_a_file_of_second_order_keeps_the_curve(tmp_path):
 
 
 def test_quadrilaterals_are_cut_where_they_are_turned_in(tmp_path):
-    kite = np.array([[0.0, 0, 0], [10, 4, 0], [20, 0, 0], [10, 20, 0]])
-    corners = np.array([[0.0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0], [20, 5, 0]])
+    kite = array([[0.0, 0, 0], [10, 4, 0], [20, 0, 0], [10, 20, 0]])
+    corners = array([[0.0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0], [20, 5, 0]])
 
     def read(x, *quads):
         meshio.Mesh(x, [("quad", quads)]).write(tmp_path / "a.vtu")
@@ -243,7 +244,7 @@ def gmsh22(path, groups, **names):
 
 def test_groups_keep_their_numbers_and_elements_all_their_groups(tmp_path):
     groups = [(11, LINES["left"]), (12, LINES["right"]), (7, LINES["left"][:1] + LINES["low"])]
-    names = {"pulled": np.array([12, 1]), "sheet": np.array([20, 2])}
+    names = {"pulled": array([12, 1]), "sheet": array([20, 2])}
     mesh = gmsh22(tmp_path / "a.msh", [*groups, (0, [[2, 5]])], **names)
     assert counts(mesh) == {"11": 2, "pulled": 2, "7": 3, REST: 2}
     assert size(mesh) == 4
@@ -273,13 +274,13 @@ def test_bounding_entities_are_no_part_and_named_groups_of_an_element_are_kept(t
 
 
 def test_numbers_of_converted_files_are_parts(tmp_path):
-    lines = ("line", np.array(LINES["left"] + LINES["right"])), ("triangle", TRIANGLES)
+    lines = ("line", array(LINES["left"] + LINES["right"])), ("triangle", TRIANGLES)
     sides = ("tetra", EIGHT[0][SIXTHS]), ("triangle", EIGHT[0][HALVES])
     for x, cells, tags, known in (
         (FLAT, lines, ([5, 5, 6, 6], 8 * [0]), {"5": 2, "6": 2, REST: 4}),
         (CUBE, sides, (6 * [0], [3, 4]), {"3": 1, "4": 1, REST: 10}),
     ):
-        groups = {"medit:ref": [np.array(one) for one in tags]}
+        groups = {"medit:ref": [array(one) for one in tags]}
         meshio.Mesh(x, cells, cell_data=groups).write(tmp_path / "a.vtu")
         assert counts(mesh := load_mesh(tmp_path / "a.vtu")) == known
     assert size(mesh) == approx(1)

@@ -4,7 +4,7 @@ import json
 from dataclasses import replace
 
 import numpy as np
-from numpy import cos, eye, pi, sqrt
+from numpy import array, cos, eye, ones, pi, sqrt, zeros
 from numpy.linalg import norm
 
 import warp_peri as wp
@@ -41,7 +41,7 @@ def family():
     """A rich member, a second 1 % stiffer, and halves 2 % to either side."""
     rich = solid("filtered")
     second, *halves = (scaled(rich, share) for share in (0.01, APART, -APART))
-    record = ErrorSpectrum(np.array([2.0, 4.0, 8.0]), np.array([0.3, 0.1, 0.0]))
+    record = ErrorSpectrum(array([2.0, 4.0, 8.0]), array([0.3, 0.1, 0.0]))
     return EnsembleMaterial(rich, second, tuple(halves), record, CalibrationFactors(1.2, 1.48, 2.0))
 
 
@@ -87,7 +87,7 @@ def test_corrections_lead_to_the_rich_answer_and_say_how_far_it_and_quantities_a
     root = norm(best.map()[inside]) / norm(best.u[inside])
     assert root >= 0.99 * norm([value for name, value in best.parts.items() if name != "waves"])
     at = [(4.0, 4.0), (2.0, 5.0)]
-    assert wp.prediction.strain(points, np.zeros((0, 2)))(u).shape == (0, 2, 2)
+    assert wp.prediction.strain(points, zeros((0, 2)))(u).shape == (0, 2, 2)
     for quantity in (
         wp.prediction.strain(points, at),
         wp.prediction.stress(rough.operator, at),
@@ -172,7 +172,7 @@ def test_what_is_not_known_is_named(family):
     assert answer.parts["axis"] > 0
     assert "not covered: axis" in answer.why
     assert wp.predict(family, given, 0.01).uncovered == ()
-    warm = replace(as_samples(given), arrays={"temperature": np.array([300.0])})
+    warm = replace(as_samples(given), arrays={"temperature": array([300.0])})
     (answer,) = wp.predict(replace(family, temperature=0.0), wp.Dirichlet(warm, warm.b, warm.u))
     assert not answer.kept
     assert "temperature" in answer.why
@@ -204,10 +204,10 @@ def test_wrong_input_is_refused(family):
             family, wp.Cracked(points, b=given.b, u=given.u, cracks=[[[0.0, 0.0], [1.0, 0.3]]])
         ),
         "nodes on a collar": lambda: wp.predict(
-            family, wp.Dirichlet(wp.Points.sheet((9, 9), 1.0), *np.zeros((2, 81, 2)))
+            family, wp.Dirichlet(wp.Points.sheet((9, 9), 1.0), *zeros((2, 81, 2)))
         ),
-        "wavelengths > 0 that grow": lambda: ErrorSpectrum(np.array([2.0, 1.0]), np.ones(2)),
-        "an error ≥ 0 of each": lambda: ErrorSpectrum(np.array([1.0, 2.0]), np.ones(1)),
+        "wavelengths > 0 that grow": lambda: ErrorSpectrum(array([2.0, 1.0]), ones(2)),
+        "an error ≥ 0 of each": lambda: ErrorSpectrum(array([1.0, 2.0]), ones(1)),
         "units and dim": lambda: replace(family, second=family.second.in_units(("nm", "TPa"))),
         "moduli_error: expected": lambda: replace(
             family, rich=replace(family.linear, provenance={"moduli_error": "x"})
@@ -245,12 +245,12 @@ def test_a_family_is_learned_and_calibrated_by_one_call(tmp_path):
 
 def test_shares_find_the_wavelength_and_members_are_pulled_half_way_to_their_record():
     points = lattice(40, 0.5)
-    knots = np.array([4.0, 8.0, 16.0])
-    u = np.stack([cos(2 * pi * points.x[:, 0] / 8), np.zeros(len(points.x))], axis=1)
+    knots = array([4.0, 8.0, 16.0])
+    u = np.stack([cos(2 * pi * points.x[:, 0] / 8), zeros(len(points.x))], axis=1)
     found = spectrum_of(points, knots)(u)
     assert found.argmax() == 1
     assert found.sum() == approx(1, abs=0.02)
-    assert ErrorSpectrum(knots, np.array([0.0, 0.1, 0.0])).of(found) == approx(0.1, rel=0.15)
+    assert ErrorSpectrum(knots, array([0.0, 0.1, 0.0])).of(found) == approx(0.1, rel=0.15)
     assert spectrum_of(points, knots)(1e-3 * points.x).sum() < 1e-9
     assert pulled(0.01, 0.02) == approx(sqrt(2))
     assert pulled(0.01, 0.0025) == approx(0.5)
@@ -262,7 +262,7 @@ def held_in(rich, level, count, seed=0):
     """Samples in equilibrium with a nonlinear member, their largest strain as told."""
     points = lattice(14, HORIZON)
     u = smooth(points.x, count, seed, 0.5)
-    u = np.array([level / largest_strain(points, one) * one for one in u])
+    u = array([level / largest_strain(points, one) * one for one in u])
     return wp.Samples(points, u, held_at(rich, points, u).b)
 
 
@@ -288,7 +288,7 @@ def test_a_linear_family_tells_what_is_not_linear(family, linear_family):
         assert np.vdot(told, even) > 0.7 * norm(told) * norm(even)
     u = 0.1 * cos(seen.x @ np.arange(10).reshape(2, 5) / 30).T[..., None] * noise(seen, 5)[:, :1]
     rounded = [replace(seen, u=u.astype(kind), b=0 * u) for kind in ("f8", "f4")]  # det ∇u = 0
-    near(*(np.array(quadratic(learned, one)) for one in rounded), 1e-3)
+    near(*(array(quadratic(learned, one)) for one in rounded), 1e-3)
     unknown = replace(learned, quadratic=())  # an older file
     answer = wp.predict(unknown, wp.Dirichlet(seen.points, seen.b[0], seen.u[0]), None)
     assert any("nothing in the ensemble tells" in one for one in answer.uncovered)

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from numpy import array, cos, eye, ones, pi, sin
 from numpy.random import default_rng
 
 from tests.support import sup
@@ -27,7 +28,7 @@ KERNELS = {
     "growing": {"alpha": -0.5, "D": [1.0, 0.3, 0.6]},
 }
 """Influence functions of several kinds."""
-everywhere = lambda x, spacing=1.0, **told: Points(x, np.ones(len(x), bool), spacing, **told)
+everywhere = lambda x, spacing=1.0, **told: Points(x, ones(len(x), bool), spacing, **told)
 """Points without a collar."""
 within = lambda x, reach: Points(x, np.abs(x).max(1) < reach, 1.0)
 """Points whose interior is nearer to the middle than a reach along each axis."""
@@ -50,14 +51,14 @@ def kernel(name, horizon, spacing=1.0, lam=LAM, mu=MU):
 
 def rotation(angle, d=2):
     """A turn about the third axis, shape [d, d]."""
-    R = np.eye(d)
-    R[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    R = eye(d)
+    R[:2, :2] = [[cos(angle), -sin(angle)], [sin(angle), cos(angle)]]
     return R
 
 
 def lattice(interior, horizon, spacing=1.0, angle=0.0, origin=0.0):
     """A lattice around interior nodes (a number or a mask), and the 2δ collar they need."""
-    mask = np.ones((interior, interior), bool) if np.ndim(interior) == 0 else np.array(interior)
+    mask = ones((interior, interior), bool) if np.ndim(interior) == 0 else array(interior)
     pad = int(np.ceil(2 * horizon / spacing))
     mask = np.pad(mask, pad)
     x, axis = spacing * (grid_places(mask.shape) - pad), None
@@ -73,7 +74,7 @@ def assert_balanced(force):
 
 def ell():
     """An interior that is no square: an L with a hole."""
-    mask = np.ones((5, 4), bool)
+    mask = ones((5, 4), bool)
     mask[3:, 2:] = False
     mask[1, 1] = False
     return mask
@@ -105,8 +106,8 @@ def smooth(x, samples, seed=0, wave_number=1.2):
     random, d = default_rng(seed), x.shape[1]
     k = random.uniform(-1, 1, size=(samples, 4, d)) * wave_number
     amplitude = random.normal(size=(samples, 4, d))
-    phase = random.uniform(0, 2 * np.pi, size=(samples, 4, 1))
-    return np.einsum("swn,swa->sna", np.cos(np.einsum("swa,na->swn", k, x) + phase), amplitude)
+    phase = random.uniform(0, 2 * pi, size=(samples, 4, 1))
+    return np.einsum("swn,swa->sna", cos(np.einsum("swa,na->swn", k, x) + phase), amplitude)
 
 
 def loaded(operator, u):
@@ -128,9 +129,9 @@ def difference(function, point, step, order=8):
     """Derivatives of a function of a vector by central differences; shape [vector, …]."""
     point = np.asarray(point, dtype=float)
     out = []
-    for e in np.eye(len(point)) * step:
+    for e in eye(len(point)) * step:
         pairs = enumerate(STENCILS[order], start=1)
         out.append(
             sum(c * (function(point + n * e) - function(point - n * e)) for n, c in pairs) / step
         )
-    return np.array(out)
+    return array(out)

@@ -7,6 +7,7 @@ from subprocess import run
 
 import numpy as np
 import pytest
+from numpy import array, cos, pi, sin
 from numpy.random import default_rng
 
 import tools.make_graphene as tool
@@ -73,12 +74,12 @@ def test_loads_push_and_turn_no_body_and_a_disk_at_rest_bears_them():
         rest = statics.equilibrium(1e-3 * statics.reference @ [[1, 0.3], [-0.3, 0]], name="pull")
         assert sup(session.forces(statics.reference + rest.displacement) + rest.force) <= TOLERANCE
         assert sup(rest.force.sum(0)) < 1e-12
-        at, way = statics.reference + 0.01 * np.sin(7 * x), np.cos(5 * x[:, ::-1])
+        at, way = statics.reference + 0.01 * sin(7 * x), cos(5 * x[:, ::-1])
         hessian = ColouredHessian(statics.bonds, len(x))(session.forces, at)
         change = session.forces(at - 1e-5 * way) - session.forces(at + 1e-5 * way)
         assert hessian @ way.ravel() == approx(change.ravel() / 2e-5, abs=1e-3)
         with pytest.raises(ConvergenceError, match="'too much'.*residual"):
-            statics.equilibrium(50 * np.sin(statics.reference), name="too much")
+            statics.equilibrium(50 * sin(statics.reference), name="too much")
     sheet = Piece(bond, str(potential_file(POTENTIAL)), cells=(39, 23))
     x, far = sheet.positions(), disk(bond)
     for load in (*TRAINING[::7], *VALIDATION[::3], *TEST):
@@ -89,13 +90,13 @@ def test_loads_push_and_turn_no_body_and_a_disk_at_rest_bears_them():
 
 def test_runs_of_one_seed_share_their_noise_and_have_their_temperature(tmp_path):
     body = Piece(bond_length(), str(potential_file(POTENTIAL)), cells=(8, 5))
-    x, box, bath = body.positions(), np.array(body.box), Bath()
+    x, box, bath = body.positions(), array(body.box), Bath()
     wave, moved = WaveLoad(0, (1, 0)), []
     for seed, size in ((5, 0.0), (5, 1e-3), (6, 0.0)):
         with LammpsSession(x, box=body.box, potential=body.potential) as session:
             how = {"temperature": 300.0, "timestep": 0.0005, "damping": 0.1, "steps": 400}
             steps = session.trajectory(x, size * wave.shape(x, body.box), seed=seed, **how)
-            moved.append(np.array([one[0].copy() for one in steps]))
+            moved.append(array([one[0].copy() for one in steps]))
     assert np.abs(moved[1] - moved[0])[-1].max() < 0.2 * np.abs(moved[2] - moved[0])[-1].max()
     step = np.diff(moved[0], axis=0)
     step -= box * np.rint(step / box)
@@ -118,10 +119,10 @@ def test_elements_of_local_elasticity_are_of_fourth_order_in_the_wave_length():
     """And their error is 1e-4 already where a wave has ten nodes."""
     x, C = 5.0 * grid_places((19, 19)), voigt_to_tensor(np.diag([1.3, 0.9, 0.4]) + 0.1)
     points = wp.Points(x, (np.abs(x - 45.0) <= 15.1).all(1), 5.0)
-    a, lengths, errors = np.array([0.02, -0.01]), np.array([6.0, 10.0, 14.0]), []
+    a, lengths, errors = array([0.02, -0.01]), array([6.0, 10.0, 14.0]), []
     for length in lengths:
-        k = 2 * np.pi / (5.0 * length) * np.array([np.cos(0.4), np.sin(0.4)])
-        wave = np.sin(x @ k + 0.3)[:, None]
+        k = 2 * pi / (5.0 * length) * array([cos(0.4), sin(0.4)])
+        wave = sin(x @ k + 0.3)[:, None]
         b = np.einsum("ijkl,j,l,k->i", C, k, k, a) * wave
         errors.append(errors_of_local(wp.Samples(points, (wave * a)[None], b[None]), voigt(C))[0])
     assert errors[1] < 1e-4
