@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from inspect import signature
 from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
@@ -14,7 +13,7 @@ from warp_peri.core.record import load as load_record
 from warp_peri.errors import InputError, StrPath, heard, quietly, warn
 from warp_peri.files.atomic import check_regular, write_json
 from warp_peri.fitting.result import LOUD, Fit
-from warp_peri.points.arguments import Units, offered, taken, typed
+from warp_peri.points.arguments import Units, offered, options_of, typed
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset, sets_of
 from warp_peri.points.mesh_files import load_mesh
 from warp_peri.points.points import Samples
@@ -51,8 +50,7 @@ def fit(samples: Any, law: Any = None, **options: Any) -> Any:
     learned = offered(
         law, "learn", "fit", "a model: LPS(…), ThirdOrder(…), hyperelastic.Hyperelastic(…)"
     )
-    if not any(one.kind is one.VAR_KEYWORD for one in signature(learned).parameters.values()):
-        (options,) = taken(options, "fit", learned)
+    options = options_of(learned, "fit", options)
     with heard():  # what its parts say alike is said once
         found = learned(samples, **options)
         if isinstance(found, Fit) and found.left > LOUD:

@@ -24,8 +24,9 @@ from tests.support.solving import solve
 from tests.support.told import all_refused, assert_refused, each_refused, refused, warned
 from warp_peri.atoms.dic import DICFrame
 from warp_peri.fracture import Cracked, box_nodes, rectangle_nodes
-from warp_peri.methods import Coupling, GaussNewton, LPSParameters, sweep
+from warp_peri.methods import Coupling, GaussNewton, LPSParameters, TwoStage, sweep
 from warp_peri.mpi import gather
+from warp_peri.neural import NeuralOperator, TrainingSettings
 from warp_peri.points.arguments import check_arguments, kinds_of
 from warp_peri.points.mesh import make_mesh
 from warp_peri.points.outlines import box, mesh_outline
@@ -350,6 +351,10 @@ def test_arguments_of_bodies_solids_and_tables():
         "^degree: expected": lambda: wp.Bernstein(10**15),
         "^axis: expected": lambda: replace(points, axis=LEARNS),
         "^horizons: expected": lambda: sweep(*2 * [sets["train"]], "none", horizons=("2",)),
+        "^seed: expected .*, got 4294967296$": tuple(
+            partial(made, seed=2**32)
+            for made in (partial(NeuralOperator, 3.0), TrainingSettings, TwoStage)
+        ),
         "^shortest wave: expected": lambda: wp.prediction.mixed_waves(points.x, (9, 9), 1e-3),
         "^spacing: expected": lambda: LAWS["third order, energy"].material().proven_strain(-5),
         "^free: expected": lambda: wp.solve(MODEL, held),

@@ -143,3 +143,5 @@ def test_as_many_choices_as_asked_among_four_exact_loads_or_more_give_one_solid(
     assert "not an error that all loads share" in found.knows
     with refused("at least 4 loads, got 3"):
         bootstrap(samples[:3], Springs())
+    with refused("bootstrap: expected options among noise, progress, got foo"):
+        bootstrap(samples, LPS(2.0), foo=1)

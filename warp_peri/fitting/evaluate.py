@@ -22,11 +22,12 @@ from warp_peri.files.atomic import write_json
 from warp_peri.fitting.regression import norms, sizes
 from warp_peri.points.arguments import (
     Bound,
-    Natural,
     Pair,
+    Seed,
     Share,
     checked,
     offered,
+    options_of,
     typed,
     typed_methods,
 )
@@ -236,7 +237,7 @@ def bootstrap(
     law: Any,
     *,
     draws: Draws = DRAWS,
-    seed: Natural = 0,
+    seed: Seed = 0,
     progress: bool = False,
     **options: Any,
 ) -> BootstrapResult:
@@ -257,7 +258,8 @@ def bootstrap(
     count, rng, again = len(one), np.random.default_rng(seed), 0
     if count < LEAST_LOADS:
         raise InputError(f"samples: expected at least {LEAST_LOADS} loads, got {count}")
-    offered(law, "learn", "bootstrap", "a model: LPS(…), Crystal(…)")
+    learn = offered(law, "learn", "bootstrap", "a model: LPS(…), Crystal(…)")
+    options = options_of(learn, "bootstrap", options)
     if getattr(law, "symmetry", None) == "auto":
         law = replace(law, symmetry=law.learn(one, **options).material.symmetry)
     if getattr(law, "kernel", law) is None:

@@ -37,6 +37,7 @@ from warp_peri.points.arguments import (
     Natural,
     NotNegative,
     Positive,
+    Seed,
     checked,
     typed,
 )
@@ -155,7 +156,7 @@ class TwoStage:
     Raises InputError for a number that is none.
     """
 
-    seed: Natural = 0
+    seed: Seed = 0
     checkpoint: StrPath | None = None
     epochs: Natural = 4000
     inner_epochs: Natural = 500
@@ -178,7 +179,7 @@ class AugmentedLagrangian:
     Raises InputError for a number that is none.
     """
 
-    seed: Natural = 0
+    seed: Seed = 0
     steps: Count = 100
     rounds: Count = 60
     optimum: GaussNewton = field(default_factory=GaussNewton)

@@ -23,8 +23,8 @@ from warp_peri.neural.placed import Placed, check_precision
 from warp_peri.neural.training import NeuralFit, TrainingSettings, train
 from warp_peri.points.arguments import (
     USUAL,
-    Natural,
     Positive,
+    Seed,
     Units,
     check_same,
     check_units,
@@ -91,7 +91,7 @@ class NeuralOperator(Shown, torch.nn.Module):
         proportional: bool = False,
         strain: Positive = STRAIN,
         units: Units = USUAL,
-        seed: Natural = 0,
+        seed: Seed = 0,
     ) -> None:
         super().__init__()
         self.widths: dict[str, Shape] = {}

@@ -22,7 +22,7 @@ from warp_peri.files.atomic import locked
 from warp_peri.files.checkpoint import ArrayFile, fingerprint
 from warp_peri.fitting.regression import norms
 from warp_peri.neural.placed import CELLS, SOLVED, EquilibriumSolver, affine, interpolated_force
-from warp_peri.points.arguments import Bound, Count, Natural, Positive, check_whole, typed
+from warp_peri.points.arguments import Bound, Count, Positive, Seed, check_whole, typed
 from warp_peri.points.dataset import sets_of
 from warp_peri.points.points import Samples
 from warp_peri.solvers.equilibria import NonlinearRecord
@@ -129,7 +129,7 @@ class TrainingSettings:
     rate: Positive = 1e-3
     batch: Count = 7
     cells: Annotated[int, Bound("0 to 4096 cells", range(4097).__contains__)] = CELLS
-    seed: Natural = 0
+    seed: Seed = 0
 
 
 @dataclass

@@ -244,6 +244,8 @@ NotNegative = Annotated[float, Bound("a number ≥ 0", lambda value: 0 <= value 
 Share = Annotated[float, Bound("a number between 0 and 1", lambda value: 0 < value < 1)]
 Count = Annotated[int, Bound("a whole number ≥ 1", lambda value: value >= 1)]
 Natural = Annotated[int, Bound("a whole number ≥ 0", lambda value: value >= 0)]
+Seed = Annotated[int, Bound("a whole number from 0 to 2³² − 1", lambda s: 0 <= s < 2**32)]
+"""Of random numbers; torch takes larger ones for smaller ones."""
 
 
 def typed(call: Call) -> Call:
@@ -422,6 +424,13 @@ def taken(
         raise InputError(f"{verb}: expected {', '.join(missing)} too, of the options {names}")
     found = tuple({n: options[n] for n in kind if n in known and n in options} for kind in kinds)
     return tuple(check_arguments(taker, its) for taker, its in zip(takers, found))
+
+
+def options_of(learn: Callable[..., Any], verb: str, options: Options) -> Options:
+    """Options of a law's `learn`, checked as by `taken` unless it takes any."""
+    if any(one.kind is one.VAR_KEYWORD for one in inspect.signature(learn).parameters.values()):
+        return options
+    return taken(options, verb, learn)[0]
 
 
 def picked(options: Options, *names: str) -> Options:

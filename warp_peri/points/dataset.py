@@ -20,8 +20,8 @@ from warp_peri.files.atomic import check_hdf5, check_regular, parsed, plain, who
 from warp_peri.points.arguments import (
     USUAL,
     Count,
-    Natural,
     Positive,
+    Seed,
     Units,
     check_nodes,
     check_units,
@@ -179,7 +179,7 @@ def largest_wave_number(points: Samples) -> float | None:
 
 @typed
 def mixed_waves(
-    x: ndarray, box: tuple[float, ...] | ndarray, shortest: Positive, *, seed: Natural = 0
+    x: ndarray, box: tuple[float, ...] | ndarray, shortest: Positive, *, seed: Seed = 0
 ) -> ndarray:
     """Make a field of mixed waves Σ |k| e cos(k·x + φ) over |k| ≤ 2π/shortest (theory, Q11).
 
