@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from numpy import array, cos, eye, ones, pi, sqrt, zeros
 from numpy.linalg import norm
 
@@ -217,12 +218,33 @@ def test_wrong_input_is_refused(family):
         "temperature: expected values ≥ 0 K, got -5": lambda: wp.fit(
             replace(warm, arrays={"temperature": 4 * [-5.0]}), Ensemble(wp.LPS(3.0))
         ),
+        "wavelength: expected float": lambda: ErrorSpectrum(np.array([1j]), np.ones(1)),
+        "temperature: expected a number ≥ 0": lambda: replace(family, temperature=-5.0),
+        "quadratic: expected 7": lambda: replace(family, quadratic=(1,)),
         r"at: expected shape \[m, 2\]": lambda: wp.prediction.strain(points, [1.0, 2.0]),
         "stress: expected positions whose": lambda: wp.prediction.stress(
             family.ensemble_on(points), [(500, 500)]
         ),
         "quantity: expected": lambda: wp.predict(family, given).of(lambda u: None),
     })  # fmt: skip
+
+
+def test_what_no_member_bears_is_refused_before_any_is_learned(family, monkeypatch):
+    monkeypatch.setattr(wp.LPS, "learn", lambda *_, **__: 1 / 0)
+    law, four = wp.LPS(HORIZON), as_samples(problem(family)[2])[[0] * 4]
+    wide = replace(four.points, interior=norm(four.x, axis=1) < 9)
+    fit = lambda val, *of, one=four: lambda: wp.fit(one, Ensemble(law, *of), validation=val)
+    assert_refused({
+        "validation: .* displaced inside": (fit(four[:0]), fit(replace(four, u=0 * four.u))),
+        "units: expected": fit(in_units(four, OTHER)),
+        "b: expected loads": fit(replace(four, b=None)),
+        "validation: interior nodes need": fit(replace(four, points=wide)),
+        "a model as the second": fit(None, 3),
+        "loads on each half": fit(None, one=replace(four, b=four.b * np.eye(4)[0, :, None, None])),
+    })  # fmt: skip
+    warm = replace(four, arrays={"temperature": [0.0, 600.0] * 2})
+    with warned("300 K alone, samples are at 0 to 600"), pytest.raises(ZeroDivisionError):
+        fit(None, one=warm)()
 
 
 def test_a_family_is_learned_and_calibrated_by_one_call(tmp_path):

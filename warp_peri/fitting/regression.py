@@ -386,14 +386,19 @@ class Zone:
         return found
 
 
+def check_alike(sets: Sequence[Samples]) -> None:
+    """Raise InputError for sets in several units or dimensions."""
+    named = {f"{' and '.join(each.units)} in {each.dimension} dimensions" for each in sets}
+    if len(named) > 1:
+        raise InputError(f"units: expected the same for all sets, got {', '.join(sorted(named))}")
+
+
 def sample_weights(sets: Sequence[Samples], *, normalise: bool) -> list[ndarray]:
     """Weights f²/Σ f²‖b‖² of each sample's ‖L u − b‖², [S] of each set; f = 1, or 1/‖b‖ with
     `normalise`. InputError for no samples or loads; normalised, for any zero load."""
     if not sets:
         raise InputError("points: expected at least one training set, got none")
-    named = {f"{' and '.join(each.units)} in {each.dimension} dimensions" for each in sets}
-    if len(named) > 1:
-        raise InputError(f"units: expected the same for all sets, got {', '.join(sorted(named))}")
+    check_alike(sets)
     factors, total = [], 0.0
     for points in sets:
         if len(points) == 0:

@@ -16,6 +16,7 @@ from warp_peri.errors import InputError, StrPath, warn
 from warp_peri.files.atomic import locked
 from warp_peri.files.checkpoint import fingerprint
 from warp_peri.fitting.evaluate import ERRORS, evaluate
+from warp_peri.fitting.regression import check_alike
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_fit import LPS
 from warp_peri.materials.lps_law import DEGREES, HORIZONS, Bernstein, GaussNewton, TwoStage
@@ -148,14 +149,15 @@ def sweep(
 
 
 def _check_sets(sets: dict[str, Samples], horizons: Sequence[float]) -> None:
-    """Raise InputError for sets without loads and a horizon that a set's nodes do not carry; those
-    of another lattice than that of the fit have a transfer's own."""
-    for one in (sets["train"], sets["val"]):
-        if not (one.loads[:, one.interior].any() and one.u[:, one.interior].any()):
-            raise InputError("train, val: expected loads inside and u: errors are divided by them")
+    """Raise InputError for sets in several units, without loads, or empty, and a horizon that the
+    nodes of one do not carry; all are evaluated with the fit's own, on other lattices too."""
+    check_alike([*sets.values()])
+    for name, one in sets.items():
+        told = one.loads[:, one.interior].any() and one.u[:, one.interior].any()
+        if not (told or (name == "test" and len(one))):
+            raise InputError(f"{name}: expected loads inside and u: errors are divided by them")
     for horizon, one in itertools.product(horizons, sets.values()):
-        if one.spacing == sets["train"].spacing:
-            within(f"horizon {horizon:g}", families_of, one, horizon)
+        within(f"horizon {horizon:g}", families_of, one, horizon)
 
 
 def choose(trials: list[Trial]) -> SweepResult:

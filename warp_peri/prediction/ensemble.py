@@ -14,15 +14,25 @@ from numpy import ndarray
 from numpy.linalg import lstsq, norm, qr
 from scipy.ndimage import distance_transform_edt
 
+import warp_peri
 from warp_peri.core.elastic import symmetric_part
 from warp_peri.core.record import FieldUnits, OnLinear
-from warp_peri.core.stencil import Grid, grid_of
-from warp_peri.errors import Arrays, InputError, Rows, Values
+from warp_peri.core.stencil import Grid, grid_of, half_ball
+from warp_peri.errors import Arrays, InputError, Rows, Values, hold, warn
+from warp_peri.fitting.regression import check_alike
 from warp_peri.fitting.result import Fit
-from warp_peri.points.arguments import ArrayMap, NotNegative, checked, is_number, offered, typed
+from warp_peri.points.arguments import (
+    ArrayMap,
+    NotNegative,
+    checked,
+    is_number,
+    offered,
+    typed,
+    within,
+)
 from warp_peri.points.dataset import sets_of
-from warp_peri.points.families import largest_strain
-from warp_peri.points.points import PointsLike, Samples, nodes_of
+from warp_peri.points.families import families_of, largest_strain
+from warp_peri.points.points import PointsLike, Samples, check_lattice, nodes_of
 from warp_peri.protocols import placed
 
 SEEN = 0.5
@@ -66,6 +76,9 @@ class ErrorSpectrum:
     shortest: Annotated[float, FieldUnits(length=1)] = 0.0
 
     def __post_init__(self) -> None:
+        for name in ("wavelength", "error"):
+            hold(self, **{name: checked(name, getattr(self, name), float, ("K",))})
+        hold(self, shortest=float(checked("shortest", self.shortest, float, ())))
         rising = np.size(self.wavelength) and (np.diff(self.wavelength, prepend=0.0) > 0).all()
         if not (rising and self.error.shape == self.wavelength.shape and (self.error >= 0).all()):
             raise InputError("record: expected wavelengths > 0 that grow, an error ≥ 0 of each")
@@ -334,6 +347,10 @@ class EnsembleMaterial(OnLinear, format="warp_peri.family", version=2):
                 raise InputError(f"member: expected a material, got {one!r:.40}")
             if (one.units, one.dimension) != (self.rich.units, self.rich.dimension):
                 raise InputError("member: expected units and dimension of the rich one, got others")
+        if (self.temperature or 0) < 0:
+            raise InputError(f"temperature: expected a number ≥ 0 K, got {self.temperature:g}")
+        if (count := len(self.quadratic)) not in (0, 7):
+            raise InputError(f"quadratic: expected 7 constants or none, got {count}")
 
     @property
     def linear(self) -> Any:
@@ -382,7 +399,8 @@ class Ensemble:
         self, samples: Any, *, validation: Samples | None = None, progress: bool | None = None
     ) -> Fit:
         """Learn the ensemble from at least four samples with loads; certificate and history are
-        those of its rich member's fit. `validation`, on the same kind of nodes, calibrates too."""
+        those of its rich member's fit. `validation`, on the same kind of nodes, calibrates too.
+        Warns of samples at several temperatures, of which the material says the mean."""
         sets = sets_of(samples)
         if len(sets) != 1 or len(sets[0]) < 4:
             raise InputError("samples: expected one set of at least four samples for an ensemble")
@@ -390,13 +408,41 @@ class Ensemble:
         mean = None if (stated := kelvin(samples)) is None else float(stated.mean())
         learn = offered(self.rich, "learn", "fit", "a model as the rich member")
         second = poorer(self.rich) if self.second is None else self.second
-        fit = learn(samples, progress=progress)
         learn_other = offered(second, "learn", "fit", "a model as the second member")
+        known = {"samples": samples} | ({} if validation is None else {"validation": validation})
+        check_sets((self.rich, second), known)
+        for name, one in known.items():
+            there = kelvin(one)
+            if not (there is None or mean is None or np.allclose(there, mean)):
+                got = f"{there.min():g} to {there.max():g} K"
+                warn(f"temperature: the ensemble says {mean:g} K alone, {name} are at {got}")
+        fit = learn(samples, progress=progress)
         other = learn_other(samples, progress=progress).material
         odd, even = (learn(samples[n::2], progress=progress).material for n in (0, 1))
         strain, halves = largest_strain(samples.points, samples.u), (odd, even)
         family = EnsembleMaterial(fit.material, other, halves, strain=strain, temperature=mean)
         return Fit(calibrated(family, samples, validation), fit.certificate, {}, fit.history)
+
+
+def check_sets(laws: tuple[Any, Any], sets: dict[str, Samples]) -> None:
+    """Raise InputError, before any fit, for what members' fits or their calibration would refuse of
+    samples and validation; lattices of another spacing have a transfer's own horizon."""
+    samples = sets["samples"]
+    check_alike([*sets.values()])
+    for name, one in sets.items():
+        within(name, check_lattice, one)
+        if not (len(one.loads) and one.u[:, one.interior].any()):
+            raise InputError(f"{name}: expected some that are displaced inside, got none")
+        for law in laws if one.spacing == samples.spacing else ():
+            inner = getattr(law, "linear", law)
+            if isinstance(law, warp_peri.Crystal):
+                steps = half_ball(law.horizon / one.spacing, one.dimension)
+                within(name, grid_of, one.points, steps)
+            elif isinstance(inner, warp_peri.LPS | warp_peri.Crystal):
+                within(name, families_of, one, inner.horizon)
+    for half in (samples[::2], samples[1::2]):
+        if isinstance(laws[0], warp_peri.LPS) and not half.loads[:, half.interior].any():
+            raise InputError("samples: expected loads on each half, every second one, got none")
 
 
 def poorer(law: Any) -> Any:
