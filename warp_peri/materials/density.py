@@ -247,8 +247,9 @@ class Density:
         loss: "forces" fits L u = b; "displacement" solves for u, for noise or few loads.
 
     A trial of the search without an equilibrium is a step too long; a number without a slope where
-    it starts begins beside it. `fit` raises InputError for samples without loads or displacement,
-    for a start without an answer, and for parameters that they do not tell, by name.
+    it starts begins beside it, where that has an answer. `fit` raises InputError for samples
+    without loads or displacement, for a start without an answer, and for parameters that they do
+    not tell, by name. Its `evaluations` are all forces or solves of the samples, slopes' too.
 
     >>> def svk(E, lam, mu):
     ...     return lam / 2 * E.diagonal(dim1=-2, dim2=-1).sum(-1) ** 2 + mu * (E * E).sum((-1, -2))
@@ -287,7 +288,10 @@ class Density:
 
         scale = np.array([abs(value) or felt(name) for name, value in material.parameters.items()])
 
+        done = itertools.count()
+
         def left(x: ndarray) -> ndarray:
+            next(done)
             op = operator.at(dict(zip(names, scale * x)))
             found = op(given.u) if by_force else op.solve(given.loads, given.u).u[:, inside]
             return np.pad(((found - right) / size).ravel(), (0, max(0, len(x) - right.size)))
@@ -300,7 +304,9 @@ class Density:
         x = np.array([*material.parameters.values()]) / scale
         nowhere = np.nan * left(x)
         first = norm(slopes(tried, x), axis=0)
-        x += BESIDE * (first <= TOLD * first.max(initial=0.0))
+        for step in np.diag(BESIDE * (first <= TOLD * first.max(initial=0.0))):
+            sides = (at for at in (x + step, x - step) if step.any())
+            x = next((at for at in sides if np.isfinite(tried(at)).all()), x)
         how: Any = {"jac": partial(slopes, tried), "x_scale": "jac", "method": "lm"}
         found = least_squares(tried, x, **how)
         ended = dict(zip(names, (scale * found.x).tolist()))
@@ -308,6 +314,6 @@ class Density:
             those = ", ".join(f"{name} {ended[name]:.4g}" for name in np.array(names)[lost])
             raise InputError(f"parameters: these samples do not tell {those}, or not from there")
         loss = float(np.sqrt(2 * found.cost / len(right)))
-        record = {"loss": loss, "by": self.loss, "evaluations": int(found.nfev)}
+        record = {"loss": loss, "by": self.loss, "evaluations": next(done)}
         law = replace(material.at(ended), provenance={"fit": record})
         return Fit(law, None, {}, record)
