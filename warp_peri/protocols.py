@@ -33,6 +33,7 @@ from warp_peri.points.arguments import (
     is_tensor,
     offered,
     plain,
+    taken,
 )
 from warp_peri.points.points import Samples
 
@@ -350,3 +351,10 @@ def placed(
         what = f"{type(material).__name__}{', which is on its points already' * (on is None)}"
         raise InputError(f"{verb}: {others}: not among the options of a {what}")
     return material if on is None else on(points, **check_arguments(on, options))
+
+
+def options_of(learn: Callable[..., Any], verb: str, options: Options) -> Options:
+    """Options of a law's `learn`, checked as by `taken` unless it takes any."""
+    if any(one.kind is one.VAR_KEYWORD for one in signature(learn).parameters.values()):
+        return options
+    return taken(options, verb, learn)[0]

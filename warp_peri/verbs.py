@@ -13,10 +13,11 @@ from warp_peri.core.record import load as load_record
 from warp_peri.errors import InputError, StrPath, heard, quietly, warn
 from warp_peri.files.atomic import check_regular, write_json
 from warp_peri.fitting.result import LOUD, Fit
-from warp_peri.points.arguments import Units, offered, options_of, typed
+from warp_peri.points.arguments import Units, offered, typed
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset, sets_of
 from warp_peri.points.mesh_files import load_mesh
 from warp_peri.points.points import Samples
+from warp_peri.protocols import options_of
 
 if TYPE_CHECKING:
     from warp_peri.materials.crystal_fit import Crystal

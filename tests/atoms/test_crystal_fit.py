@@ -1,6 +1,7 @@
 """Structures to laws, by calculators or phonopy: moduli, sheets and solids, what is refused."""
 
 from dataclasses import replace
+from functools import partial
 
 import ase.io
 import numpy as np
@@ -107,11 +108,9 @@ def test_disorder_that_relaxes_away_leaves_the_crystal(flat):
 
 
 EARLY = {
-    "symmetry": ("cubic", np.ones((1, 3, 3))),
-    "horizon": (1.0, 1e3),
+    "symmetry": ("cubic", np.ones((1, 3, 3))), "horizon": (1.0, 1e3), "spacing": (1e-3, 1e6),
     "supercell": ((1.5, 2, 2), (3, 3), (True, 2, 2), (1, 1, 1)),
-    "spacing": (1e-3, 1e6),
-}
+}  # fmt: skip
 
 
 class Unasked(EMT):
@@ -255,9 +254,8 @@ def test_what_is_no_file_of_phonopy_and_charges_of_a_sheet_are_refused(tmp_path)
     cell, two = bulk("Cu"), np.zeros((2, 3, 3))
     assert_refused({
         f"^({'|'.join(EARLY)}): expected": tuple(
-            lambda how={name: value}: wp.fit_crystal(cell, Unasked(), **how)
-            for name, values in EARLY.items()
-            for value in values
+            partial(wp.fit_crystal, cell, Unasked(), **{name: value})
+            for name in EARLY for value in EARLY[name]
         ),
         "hold: expected all, or of": lambda: wp.fit_crystal(cell, EMT(), hold=[1]),
         "atoms: expected ForceConstants": lambda: wp.crystals.fit_phonons(cell, 3.59, 8.8),

@@ -220,7 +220,6 @@ def test_wrong_input_is_refused(family):
         ),
         "wavelength: expected float": lambda: ErrorSpectrum(np.array([1j]), np.ones(1)),
         "temperature: expected a number ≥ 0": lambda: replace(family, temperature=-5.0),
-        "quadratic: expected 7": lambda: replace(family, quadratic=(1,)),
         r"at: expected shape \[m, 2\]": lambda: wp.prediction.strain(points, [1.0, 2.0]),
         "stress: expected positions whose": lambda: wp.prediction.stress(
             family.ensemble_on(points), [(500, 500)]

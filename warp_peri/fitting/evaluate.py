@@ -27,13 +27,12 @@ from warp_peri.points.arguments import (
     Share,
     checked,
     offered,
-    options_of,
     typed,
     typed_methods,
 )
 from warp_peri.points.dataset import Dataset, warn_of_unseen
 from warp_peri.points.points import Samples
-from warp_peri.protocols import placed
+from warp_peri.protocols import options_of, placed
 
 ERRORS = ("E_res", "E_u", "E_res_abs")
 """Those of the means of `evaluate` that a model is kept with, where the metrics hold them."""

@@ -426,13 +426,6 @@ def taken(
     return tuple(check_arguments(taker, its) for taker, its in zip(takers, found))
 
 
-def options_of(learn: Callable[..., Any], verb: str, options: Options) -> Options:
-    """Options of a law's `learn`, checked as by `taken` unless it takes any."""
-    if any(one.kind is one.VAR_KEYWORD for one in inspect.signature(learn).parameters.values()):
-        return options
-    return taken(options, verb, learn)[0]
-
-
 def picked(options: Options, *names: str) -> Options:
     """Those of the options that have these names, taken out of them."""
     return {name: options.pop(name) for name in names if name in options}
