@@ -12,7 +12,7 @@ from tests.support.problems import difference, ell, kernel, lattice, manufacture
 from tests.support.solving import fit
 from tests.support.symbols import smallest_margins
 from warp_peri import LPS, Bernstein, LPSMaterial, certify
-from warp_peri.files.checkpoint import ArrayFile
+from warp_peri.files.checkpoint import ArrayFile, fingerprint
 from warp_peri.fitting import augmented_lagrangian
 from warp_peri.fitting.augmented_lagrangian import as_printed, margins_of, printed_state
 from warp_peri.fitting.regression import Regression
@@ -120,20 +120,15 @@ def test_resumed_is_unbroken_and_what_is_finished_is_not_run_again(points, tmp_p
             raise KeyboardInterrupt
 
     def same(again):
-        first, second = unbroken.parameters, again.parameters
-        assert (second.lam, second.mu, second.alpha) == (first.lam, first.mu, first.alpha)
-        near(second.D, first.D, 0)
         assert again.loss == unbroken.loss
-
-    def not_again(*given, **how):
-        raise AssertionError("stage 2 was finished")
+        assert fingerprint(again.parameters) == fingerprint(solid)
 
     with monkeypatch.context() as patch:
         patch.setattr(ArrayFile, "write", killed)
         with pytest.raises(KeyboardInterrupt):
             run(points, path)
     same(run(points, path))
-    monkeypatch.setattr(augmented_lagrangian, "adam", not_again)
+    monkeypatch.setattr(augmented_lagrangian, "adam", None)  # which is not called again
     same(run(points, path))
     for other in ({"degree": 4}, {"normalise": True}):
         with refused("other data or settings"):

@@ -60,8 +60,8 @@ def test_a_stretched_block_is_solved_to_second_order(name):
         u, b = stretched(points, stress)
         material = wp.DensityMaterial.of(energy, points.spacing, parameters, dimension=d)
         answer = wp.solve(material, wp.Dirichlet(points, b, u))
-        errors.append(np.abs(answer.u - u)[(np.abs(points.x).max(1) <= 2)].max() / sup(u))
-        near(answer.stress()[(np.abs(points.x[points.interior]).max(1) < 1e-9)][0][0, 0], 0.1, 2e-3)
+        errors.append(np.abs(answer.u - u)[np.abs(points.x).max(1) <= 2].max() / sup(u))
+        near(answer.stress()[np.abs(points.x[points.interior]).max(1) < 1e-9][0][0, 0], 0.1, 2e-3)
     assert errors[1] < errors[0] / 2 < 1e-5
 
 
@@ -122,8 +122,6 @@ def test_what_torch_does_not_see_of_a_parameter_has_no_gradient(told):
             wp.fit(samples, wp.Density(law, 0.5, {"a": 0.0, "c": 0.7}))
     squared = lambda E, a, c: blatz_ko(E, 4 * c) + a**2 * E.sum((-1, -2)) ** 2  # no slope at 0
     sets = loaded(of(squared, parameters={"a": 0.7, "c": 1.0}).on(points), u[None])
-    found = wp.fit(sets, wp.Density(squared, 0.5, {"a": 0.0, "c": 0.9})).material
-    near(abs(found.parameters["a"]), 0.7, 1e-5)
     some = lambda E, a, c, low=-1: squared(E, a, c) if low < a < 1e-3 else None
     fit = partial(wp.fit, sets, wp.Density(some, 0.5, {"a": 0.0, "c": 0.9}))
     near((found := fit()).material.parameters["a"], -0.7, 1e-5)  # beside 0 on the other side

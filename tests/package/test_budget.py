@@ -16,13 +16,13 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 18_995,
-    "tokens": 234_738,
-    "lines of warp_peri": 30_625,
+    "code lines": 19_110,
+    "tokens": 234_305,
+    "lines of warp_peri": 30_909,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_810,
-    "lines of the longest file": 536,
+    "lines of warp_peri, kernels, examples and tools": 43_097,
+    "lines of the longest file": 539,
     "lines of the longest function": 60,
     "parameters of one function": 10,
     "characters of the longest string": 1_621,
@@ -32,20 +32,20 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2391,
-    "cli": 833,
-    "core": 1623,
-    "face": 1101,
+    "atoms": 2422,
+    "cli": 828,
+    "core": 1619,
+    "face": 1115,
     "fe_coupling": 675,
-    "files": 497,
-    "fitting": 1044,
-    "fracture": 1409,
-    "materials": 4566,
-    "neural": 602,
-    "points": 1736,
-    "prediction": 578,
-    "mpi": 433,
-    "solvers": 1507,
+    "files": 501,
+    "fitting": 1046,
+    "fracture": 1405,
+    "materials": 4584,
+    "neural": 596,
+    "points": 1739,
+    "prediction": 613,
+    "mpi": 455,
+    "solvers": 1512,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

@@ -144,7 +144,6 @@ def test_the_guarantee_holds_planted_errors(family):
     inside = points.interior
     wrong = on_interior(points, 0.02 * sup(u) * noise(points))
     proof = replace(wp.predict(family, given, None), u=u + wrong).guarantee
-    assert proof is not None
     true = sqrt((wrong[inside] * EnsembleOperator(family, points).straight(wrong)).sum())
     assert true <= proof.energy <= true * 1.2 / (1 - proof.contraction)
     assert 0 < proof.contraction < 1
