@@ -16,12 +16,12 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 19_110,
-    "tokens": 234_305,
-    "lines of warp_peri": 30_909,
+    "code lines": 19_112,
+    "tokens": 234_341,
+    "lines of warp_peri": 30_913,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 43_097,
+    "lines of warp_peri, kernels, examples and tools": 43_101,
     "lines of the longest file": 539,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -34,13 +34,13 @@ BUDGET = {
 ROOMS = {
     "atoms": 2422,
     "cli": 828,
-    "core": 1619,
+    "core": 1617,
     "face": 1115,
     "fe_coupling": 675,
     "files": 501,
     "fitting": 1046,
     "fracture": 1405,
-    "materials": 4584,
+    "materials": 4588,
     "neural": 596,
     "points": 1739,
     "prediction": 613,

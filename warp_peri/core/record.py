@@ -262,8 +262,6 @@ class Record(Shown, Held):
         if self.units == (units := check_units(units)):
             return self
         moved = self._moved(self, by, units) | ({"units": units} if _has_units(self) else {})
-        if told := moved.get("provenance"):
-            moved["provenance"] = {"units_before": [*self.units], **told}  # that its records are in
         return replace(self, **moved | self.elsewhere(*by))  # type: ignore[type-var]
 
     def own_nodes(self, points: PointsLike) -> Points:

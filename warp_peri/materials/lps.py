@@ -381,7 +381,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
         return None
 
     def elsewhere(self, length: float, stress: float) -> Values:
-        """Certificate figures in other units."""
+        """Certificate figures in other units; provenance names those of its records."""
         times = {"spacing": length, "symbol_min": stress, "symbol_bound": stress}
         times |= dict.fromkeys(GAMMAS, length**-2)
         figures = {
@@ -391,7 +391,8 @@ class LPSMaterial(Record, format="warp_peri.model"):
             }
             for h, each in self.figures.items()
         }
-        return {"certificate": figures}
+        provenance = self.provenance | {"units_before": list(self.units)} | self.provenance
+        return {"certificate": figures, "provenance": provenance}
 
     def derived(self) -> Values:
         """Degree and quadrature, which the material's file states."""

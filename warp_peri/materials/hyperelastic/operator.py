@@ -85,6 +85,11 @@ class HyperelasticMaterial(Record, format="warp_peri.hyperelastic", version=2):
         """Build the operator on a lattice; thickness of each node [N] or an even sheet (H18)."""
         return HyperelasticSheetOperator(self, points, thickness=thickness)
 
+    def elsewhere(self, length: float, stress: float) -> Values:
+        """Provenance naming the units that its records stay in."""
+        own = self.provenance
+        return {"provenance": own | {"units_before": list(self.units)} | own}
+
     def rows(self) -> Rows:
         """Name and value of each line of the material's table, the largest energies first."""
         stretch = "not known" if self.stretch is None else f"up to {self.stretch:.3g}"
