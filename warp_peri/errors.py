@@ -122,13 +122,13 @@ ALONE = Alone()
 
 @contextmanager
 def agreed(comm: Any) -> Iterator[None]:
-    """Raise on all ranks an InputError that any meets inside; no rank may wait for others."""
-    mine: InputError | None = None
+    """Raise on all ranks what any meets inside, an InputError on others; no rank may wait there."""
+    mine: Exception | None = None
     try:
         yield
-    except InputError as error:
+    except Exception as error:
         mine = error
-    told = [words for words in comm.allgather(None if mine is None else str(mine)) if words]
+    told = [words for words in comm.allgather(mine and (str(mine) or repr(mine))) if words]
     if told:
         raise mine or InputError(told[0])
 

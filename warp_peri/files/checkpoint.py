@@ -41,8 +41,10 @@ COPIED = "__reduce__", "__reduce_ex__", "__getstate__"
 CODE = "names varnames argcount posonlyargcount kwonlyargcount exceptiontable"
 """What code is told by, beside its instructions and the constants they read."""
 QUIET = (
-    "_csv _queue _thread concurrent. logging matplotlib.axes matplotlib.cbook matplotlib.figure "
-    "matplotlib.image matplotlib.lines multiprocessing sqlite3 threading tqdm weakref"
+    "_csv _queue _thread concurrent. logging matplotlib.ax matplotlib.cbook matplotlib.co "
+    "matplotlib.figure matplotlib.image matplotlib.legend matplotlib.lines matplotlib.projections "
+    "matplotlib.quiver matplotlib.spines matplotlib.text matplotlib.ticker matplotlib.transforms "
+    "mpl_toolkits multiprocessing sqlite3 threading tqdm weakref"
 )
 """Modules whose objects change as they draw, write and wait, and decide no number."""
 UNORDERED = Mapping, set, frozenset
@@ -151,11 +153,14 @@ def _spelled(part: Any) -> tuple[bytes, list[Any]]:
     elif isinstance(part, UNORDERED):
         said, held = "set", [*part]
     elif isinstance(part, (list, tuple, deque, ndarray)):
-        said, held = f"{len(part)} of", [*part]
+        said, held = f"{len(part)} of", [*part, *[getattr(part, "maxlen", None)] * (kind is deque)]
     elif iscode(part):
         steps = [(s.opcode in hasconst, s) for s in get_instructions(part)]
         said = repr([(s.opcode, fixed or s.arg) for fixed, s in steps])
-        held = [[s.argval for fixed, s in steps if fixed], part.co_flags & ~CO_NESTED]
+        held = [
+            [part.co_consts[s.arg or 0] for fixed, s in steps if fixed],
+            part.co_flags & ~CO_NESTED,
+        ]
         held += [getattr(part, f"co_{name}") for name in CODE.split()]
     elif isfunction(part):
         home = part.__globals__.get("__name__")
@@ -167,6 +172,7 @@ def _spelled(part: Any) -> tuple[bytes, list[Any]]:
         said = f"{home} {part.__name__}"
         if is_users(home):
             own = {n: v for n, v in vars(part).items() if n[:2] != "__" or isroutine(v)}
+            own.pop("_abc_impl", None)  # a cache
             held = [own, getattr(part, "__bases__", ())]
     elif hasattr(kind, "content"):
         held = [_lasting(part.content()), getattr(part, "unfiled", {})]
@@ -208,7 +214,7 @@ def _unwrapped(part: Any) -> Any:
             return str(part.dtype), part.is_meta or part.to_dense().tolist()
     if isinstance(part, cKDTree):  # whose bytes are not all set
         return part.data, part.boxsize, part.leafsize
-    if isinstance(part, WeakKeyDictionary):  # a cache
+    if isinstance(part, WeakKeyDictionary) or part is np.random.mtrand._rand:  # a cache, all draws
         return None
     if hasattr(type(part), "get_obj"):  # a number that processes share
         return type(part.get_obj()), bytes(part.get_obj())
