@@ -263,9 +263,8 @@ def test_what_is_no_file_of_phonopy_and_charges_of_a_sheet_are_refused(tmp_path)
             lambda n=n: from_calculator(cell, EMT(), (n, 2, 2)) for n in (0, 10**6)
         ),
         "thickness: .* solid": lambda: from_calculator(cell, EMT(), (2, 2, 2), thickness=3.0),
-        "structure: expected three edges": lambda: from_calculator(
-            graphene(vacuum=None), EMT(), (2, 2, 1), thickness=3.0
-        ),
+        "structure: expected three edges":
+            partial(from_calculator, graphene(), EMT(), (2, 2, 1), thickness=3.0),
         "thickness: .* missing": lambda: from_calculator(graphene(), EMT(), (2, 2, 1)),
         "born: expected 1 charges, got 2":
             lambda: Supercell(cell, cell, [0], polar=NonAnalyticCorrection(two, np.eye(3))),

@@ -189,10 +189,7 @@ def test_materials_settings_functions_and_objects_count_by_what_they_hold():
         assert fingerprint(one) == fingerprint(again)
 
 
-class Sized(Protocol):
-    """Whose class keeps a cache of its own."""
-
-
+Sized = type("Sized", (Protocol,), {})  # which keeps a cache of its own
 even, odd = lambda n: n == 0 or odd(n - 1), lambda n: n > 0 and even(n - 1)
 LIMIT, SCALE, POWERS, LOG = {"above": 0.3}, 1.0, np.poly1d([1.0]), csv.writer(sys.stderr)
 

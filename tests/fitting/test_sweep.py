@@ -128,9 +128,8 @@ def test_a_failed_fit_is_left_out_and_tried_again(sets, tmp_path, monkeypatch):
     with refused("horizon 4: .* have not at horizon"):
         sweep(*sets, tmp_path / "new", **options | {"horizons": (2.0, 4.0)})
     wide = replace(sets[1], points=replace(sets[1].points, x=sets[1].x / 3, spacing=1 / 3))
-    for words, test in (("test: expected", wide[:0]), ("horizon 2: .* have not", wide)):
-        with refused(words):
-            sweep(*sets, tmp_path / "new", test=test, **options)
+    with refused("horizon 2: .* have not"):
+        sweep(*sets, tmp_path / "new", test=wide, **options)
     assert not (tmp_path / "new").exists()
     with refused("at least one horizon"):
         sweep(*sets, tmp_path, horizons=())

@@ -237,7 +237,6 @@ def test_what_no_member_bears_is_refused_before_any_is_learned(family, monkeypat
         "units: expected": fit(in_units(four, OTHER)),
         "b: expected loads": fit(replace(four, b=None)),
         "validation: interior nodes need": fit(replace(four, points=wide)),
-        "a model as the second": fit(None, 3),
         "loads on each half": fit(None, one=replace(four, b=four.b * np.eye(4)[0, :, None, None])),
     })  # fmt: skip
     warm = replace(four, arrays={"temperature": [0.0, 600.0] * 2})
