@@ -153,7 +153,7 @@ def _spelled(part: Any) -> tuple[bytes, list[Any]]:
     elif isinstance(part, UNORDERED):
         said, held = "set", [*part]
     elif isinstance(part, (list, tuple, deque, ndarray)):
-        said, held = f"{len(part)} of", [*part, *[getattr(part, "maxlen", None)] * (kind is deque)]
+        said, held = f"{len(part)} of {getattr(part, 'maxlen', None)}", [*part]
     elif iscode(part):
         steps = [(s.opcode in hasconst, s) for s in get_instructions(part)]
         said = repr([(s.opcode, fixed or s.arg) for fixed, s in steps])

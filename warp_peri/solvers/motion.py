@@ -154,11 +154,11 @@ class TimeSeriesWriter:
                     raise InputError(f"fields: expected names that XML holds, got {name!r:.60}")
                 found[name] = one = plain(name, values)
                 arguments.check_shape(name, one, (len(self.x), *one.shape[1:2]))
-        kinds = {name: one[:0] for name, one in found.items()}
-        same(nodes.comm, step=step, time=time, fields=kinds)
-        self.kind = fingerprint(nodes.mark(self.x), kinds)
+        self.kinds = {name: one[:0] for name, one in found.items()}
+        same(nodes.comm, step=step, time=time, fields=self.kinds)
         if not hasattr(self, "mark"):
-            self.claim(lambda _: self.kind, self.resume)
+            place = nodes.mark(self.x)
+            self.claim(lambda _: fingerprint(place, self.kinds), self.resume)
         whole = gathered(nodes.comm, {"": self.x, **found}, nodes.number, nodes.count)
         head = f"{PVD}<!-- {step} {self.mark(step)} -->"
         with agreed(nodes.comm), written(self.path.parent):
