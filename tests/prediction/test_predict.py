@@ -231,13 +231,19 @@ def test_what_no_member_bears_is_refused_before_any_is_learned(family, monkeypat
     monkeypatch.setattr(wp.LPS, "learn", lambda *_, **__: 1 / 0)
     law, four = wp.LPS(HORIZON), as_samples(problem(family)[2])[[0] * 4]
     wide = replace(four.points, interior=norm(four.x, axis=1) < 9)
+    fine = lambda of: replace(four, points=replace(of, x=of.x / 2, spacing=0.5))
+    one = replace(four, b=four.b * np.eye(4)[0, :, None, None])
+    third = wp.ThirdOrder(wp.Crystal(3.0), wp.methods.Smoothing(3.0))
     fit = lambda val, *of, one=four: lambda: wp.fit(one, Ensemble(law, *of), validation=val)
     assert_refused({
         "validation: .* displaced inside": (fit(four[:0]), fit(replace(four, u=0 * four.u))),
         "units: expected": fit(in_units(four, OTHER)),
         "b: expected loads": fit(replace(four, b=None)),
         "validation: interior nodes need": fit(replace(four, points=wide)),
-        "loads on each half": fit(None, one=replace(four, b=four.b * np.eye(4)[0, :, None, None])),
+        "validation: horizon: a lattice of spacing 0.5": fit(fine(wide)),
+        "validation: spacing: the model is for 1, these": fit(fine(four.points), wp.Crystal(3.0)),
+        "loads on each half": fit(None, one=one),
+        "samples: b: expected loads, got none on sample 1": fit(None, third, one=one),
     })  # fmt: skip
     warm = replace(four, arrays={"temperature": [0.0, 600.0] * 2})
     with warned("300 K alone, samples are at 0 to 600"), pytest.raises(ZeroDivisionError):

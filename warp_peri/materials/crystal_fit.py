@@ -28,7 +28,8 @@ from warp_peri.core.elastic import (
     turned,
     voigt_to_tensor,
 )
-from warp_peri.core.stencil import invariant_basis
+from warp_peri.core.proof import check_spacing
+from warp_peri.core.stencil import grid_of, half_ball, invariant_basis
 from warp_peri.errors import InputError, Values, called, warn
 from warp_peri.files.atomic import plain
 from warp_peri.fitting import regression
@@ -220,6 +221,13 @@ class Crystal:
         material = tensors.crystal(found, given.units, record)
         history = dict(material.provenance["fit"])
         return Fit(material, material.certificate, {}, history, left=found.loss)
+
+    def check_samples(self, samples: Samples, spacing: float | None = None) -> None:
+        """Raise InputError for samples to learn from that `learn` refuses, and for nodes that a
+        crystal learned at a `spacing` refuses."""
+        check_spacing(spacing or samples.spacing, samples.spacing, "these points have")
+        self.held_moduli(self.turn(samples))
+        grid_of(samples.points, half_ball(self.horizon / samples.spacing, samples.dimension))
 
     def turn(self, given: Samples) -> ndarray:
         """Rotation from the crystal's axes to those of the samples' nodes, shape [d, d]."""

@@ -37,7 +37,7 @@ from warp_peri.materials.crystal_fit import Crystal, Tensors, one_set, transfer_
 from warp_peri.points import arguments
 from warp_peri.points.arguments import ArrayMap, NotNegative, Numbers, Pair, Positive, typed
 from warp_peri.points.dataset import Dataset
-from warp_peri.points.families import BondClasses, bond_classes
+from warp_peri.points.families import BondClasses, bond_classes, families_of
 from warp_peri.points.points import PointsLike, Samples, axis_of, nodes_of
 from warp_peri.protocols import renumbered
 from warp_peri.solvers.equilibria import SOLVES, equilibria_of
@@ -394,6 +394,20 @@ class ThirdOrder:
     smoothing: Smoothing
     form: Literal["filtered", "energy"] = "filtered"
 
+    def check_samples(self, samples: Samples, spacing: float | None = None) -> None:
+        """Raise InputError for samples to learn from that `learn` refuses, and for nodes that a
+        material learned at a `spacing` refuses."""
+        if self.linear.moduli is None:
+            raise InputError("moduli: expected some that are held, beside third-order constants")
+        if samples.dimension != 2:
+            raise InputError("samples: expected a sheet; in space LPS and Crystal are learned")
+        self.linear.held_moduli(self.linear.turn(samples))
+        if spacing is None and not (size := load_sizes(samples)).all():
+            raise InputError(f"b: expected loads, got none on sample {size.argmin()}")
+        grown = samples.spacing / (spacing or samples.spacing)  # its bonds keep their steps
+        bond_classes(samples.spacing, self.linear.horizon)  # its gradient keeps its reach
+        families_of(samples.points, self.linear.horizon * max(1.0, grown))
+
     def learn(
         self, samples: Samples | Dataset | Sequence[Samples], *, progress: bool | None = None
     ) -> Fit:
@@ -402,12 +416,8 @@ class ThirdOrder:
         |H|, warned of where it is beyond the proven strain. Raises InputError for samples that do
         not carry twice the horizon, do not determine the law, or have no load."""
         begin, (asked, smoothing) = time.perf_counter(), (self.linear, self.smoothing)
-        if asked.moduli is None:
-            raise InputError("moduli: expected some that are held, beside third-order constants")
-        given = one_set(samples)
+        self.check_samples(given := one_set(samples))
         horizon, h = asked.horizon, given.spacing
-        if given.dimension != 2:
-            raise InputError("samples: expected a sheet; in space LPS and Crystal are learned")
         turn = asked.turn(given)
         auto = str(asked.symmetry) == "auto"
         tensors = Tensors(h, horizon, "isotropic" if auto else asked.symmetry, turn)
@@ -445,8 +455,6 @@ class Learning:
 
     def __init__(self, samples: Samples, tensors: Tensors, horizon: float, weights: Pair) -> None:
         self.samples, self.tensors, self.size = samples, tensors, load_sizes(samples)
-        if not (self.size > 0).all():
-            raise InputError(f"b: expected loads, got none on sample {self.size.argmin()}")
         (steps, into), (_, out) = (gradient_stencil(samples, horizon, p) for p in weights)
         energy, none = partial(energy_density, axis=axis_of(samples)), np.zeros((2, 2, 2))
         numbers, columns = dict.fromkeys((*CUBIC, "lam", "mu"), 0.0), []

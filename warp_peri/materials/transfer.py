@@ -142,16 +142,12 @@ def _transferred(model: LPSMaterial, spacing: float, largest_horizon: float | No
     if not model.certified_on:
         what = "one that is certified on a lattice, which others are fitted to"
         raise InputError(f"model: expected {what}; this one is certified on none")
-    if spacing * FINEST < model.horizon * (1 - 1e-9):
-        raise InputError(
-            f"spacing: expected at least a {FINEST:g}th of the model's horizon of "
-            f"{model.horizon:g} {unit}, got {spacing:g}"
-        )
+    horizons = transfer_horizons(model.horizon, spacing, largest_horizon, unit)
     home = min(model.certified_on, key=lambda h: abs(np.log(h / spacing)))
     largest = model.largest_wave_number or SHARE * np.pi / min(model.certified_on)
     band = min(largest, SHARE * np.pi / home, SHARE * np.pi / spacing)
     found = {}
-    for last in _horizons(spacing, largest_horizon, unit):
+    for last in horizons:
         if (one := _fitted(model, home, spacing, last, band)) is not None:
             found[_errors(one, spacing, model, home, band / 2).max()] = one
         if min(found, default=np.inf) <= TOLERANCE:
@@ -164,8 +160,14 @@ def _transferred(model: LPSMaterial, spacing: float, largest_horizon: float | No
     return _recorded(model, home, largest, found[min(found)], spacing, band)
 
 
-def _horizons(spacing: float, largest: float | None, unit: str) -> list[float]:
-    """Bond lengths of the lattice from two spacings on [Å]: each adds one class of bonds."""
+def transfer_horizons(own: float, spacing: float, largest: float | None, unit: str) -> list[float]:
+    """Horizons [Å] that a material of an `own` one may get on a lattice: its bond lengths from two
+    spacings on, each adds one class of bonds. InputError for too fine a lattice, or none."""
+    if spacing * FINEST < own * (1 - 1e-9):
+        raise InputError(
+            f"spacing: expected at least a {FINEST:g}th of the model's horizon of "
+            f"{own:g} {unit}, got {spacing:g}"
+        )
     squares = np.unique(np.add.outer(*2 * [np.arange(int(LARGEST) + 1) ** 2]))
     lengths = spacing * np.sqrt(squares[(squares >= LEAST**2) & (squares <= LARGEST**2)])
     kept: list[float] = lengths[lengths <= (largest or np.inf) * (1 + 1e-9)].tolist()

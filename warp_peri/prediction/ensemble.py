@@ -14,10 +14,9 @@ from numpy import ndarray
 from numpy.linalg import lstsq, norm, qr
 from scipy.ndimage import distance_transform_edt
 
-import warp_peri
 from warp_peri.core.elastic import symmetric_part
 from warp_peri.core.record import FieldUnits, OnLinear
-from warp_peri.core.stencil import Grid, grid_of, half_ball
+from warp_peri.core.stencil import Grid, grid_of
 from warp_peri.errors import Arrays, InputError, Rows, Values, hold, warn
 from warp_peri.fitting.regression import check_alike
 from warp_peri.fitting.result import Fit
@@ -31,7 +30,7 @@ from warp_peri.points.arguments import (
     within,
 )
 from warp_peri.points.dataset import sets_of
-from warp_peri.points.families import families_of, largest_strain
+from warp_peri.points.families import largest_strain
 from warp_peri.points.points import PointsLike, Samples, check_lattice, nodes_of
 from warp_peri.protocols import placed
 
@@ -405,14 +404,14 @@ class Ensemble:
         if len(sets) != 1 or len(sets[0]) < 4:
             raise InputError("samples: expected one set of at least four samples for an ensemble")
         samples = sets[0]
-        mean = None if (stated := kelvin(samples)) is None else float(stated.mean())
         learn = offered(self.rich, "learn", "fit", "a model as the rich member")
         second = poorer(self.rich) if self.second is None else self.second
         learn_other = offered(second, "learn", "fit", "a model as the second member")
         known = {"samples": samples} | ({} if validation is None else {"validation": validation})
+        stated = {name: kelvin(one) for name, one in known.items()}
+        mean = None if stated["samples"] is None else float(stated["samples"].mean())
         check_sets((self.rich, second), known)
-        for name, one in known.items():
-            there = kelvin(one)
+        for name, there in stated.items():
             if not (there is None or mean is None or np.allclose(there, mean)):
                 got = f"{there.min():g} to {there.max():g} K"
                 warn(f"temperature: the ensemble says {mean:g} K alone, {name} are at {got}")
@@ -426,22 +425,18 @@ class Ensemble:
 
 def check_sets(laws: tuple[Any, Any], sets: dict[str, Samples]) -> None:
     """Raise InputError, before any fit, for what members' fits or their calibration would refuse of
-    samples and validation; lattices of another spacing have a transfer's own horizon."""
+    samples and validation."""
     samples = sets["samples"]
     check_alike([*sets.values()])
     for name, one in sets.items():
         within(name, check_lattice, one)
         if not (len(one.loads) and one.u[:, one.interior].any()):
             raise InputError(f"{name}: expected some that are displaced inside, got none")
-        for law in laws if one.spacing == samples.spacing else ():
-            inner = getattr(law, "linear", law)
-            if isinstance(law, warp_peri.Crystal):
-                steps = half_ball(law.horizon / one.spacing, one.dimension)
-                within(name, grid_of, one.points, steps)
-            elif isinstance(inner, warp_peri.LPS | warp_peri.Crystal):
-                within(name, families_of, one, inner.horizon)
+        for law in laws:
+            if check := getattr(law, "check_samples", None):  # of a law that has one
+                within(name, check, one, None if one is samples else samples.spacing)
     for half in (samples[::2], samples[1::2]):
-        if isinstance(laws[0], warp_peri.LPS) and not half.loads[:, half.interior].any():
+        if not half.loads[:, half.interior].any():
             raise InputError("samples: expected loads on each half, every second one, got none")
 
 
