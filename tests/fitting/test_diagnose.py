@@ -90,6 +90,9 @@ def test_what_cannot_be_told_is_refused(samples):
         diagnose(MODEL, samples[:3])
     with refused("noise: expected displacements of the unloaded body"):
         diagnose(MODEL, samples, samples)
+    for u in (0 * samples.u, samples.u[:, :1] + 0 * samples.u):
+        with refused("samples: expected displacements with forces"):
+            diagnose(MODEL, replace(samples, u=u))
     u = default_rng(0).normal(size=(8, len(cube(2, 2.0).x), 3))
     with refused("samples in the plane, got 3 dimensions"):
         diagnose(solid(2.0), Samples(cube(2, 2.0), u, u))

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy import ndarray
-from numpy.linalg import pinv, qr, solve, svd, trace
+from numpy.linalg import norm, pinv, qr, solve, svd, trace
 
 from warp_peri.core.elastic import allowed_tensors, symmetric_part
 from warp_peri.core.proof import stencil_of
@@ -107,7 +107,7 @@ def diagnose(material: Any, samples: Samples, noise: Samples | None = None) -> D
         noise: fields of noise alone on their nodes.
 
     Raises InputError for a material without a linear part, scattered points, samples in space, too
-    few of them, or no load.
+    few of them, no load, or displacements that the material answers with no force.
 
     >>> wp.diagnose(wp.fit(samples, wp.LPS(10.0, wp.Bernstein(0))).material, samples).causes[0]
     'dispersion'
@@ -125,6 +125,8 @@ def diagnose(material: Any, samples: Samples, noise: Samples | None = None) -> D
     inner = operator(np.where(samples.interior[:, None], samples.u, 0.0))
     if residual <= ROUNDING or total <= ROUNDING**2 * (inner**2).sum():
         return Diagnosis(residual, {"rounding": 1.0, "unexplained": 0.0})
+    if norm(samples.loads[:, samples.interior] - left) <= ROUNDING * norm(inner):
+        raise InputError("samples: expected displacements with forces, got none, or affine ones")
     if noise is not None:
         made = len(samples) * float((operator(noise.u) ** 2).mean(axis=0).sum()) / total
         shares["noise"] = min(1.0, made)
