@@ -358,6 +358,7 @@ def test_arguments_of_bodies_solids_and_tables():
         "^k: expected": (
             *(lambda k=k: crystal.symbol(k) for k in ([1j, 0], hidden[:2], zeros(3), 1.0)),
             *(lambda k=k: wp.methods.Smoothing(1.0).root(k) for k in (True, nan, hidden)),
+            lambda: wp.methods.Smoothing(1.0).root([True, 0]),
         ),
         "^u: expected": (
             lambda: solve(op, points, None, [[1.0], [1.0, 2.0]]),

@@ -34,9 +34,22 @@ def as_array(name: str, value: Any) -> np.ma.MaskedArray[Any, Any]:
     if getattr(value, "requires_grad", False):
         raise InputError(f"{name}: {GRADIENT}")
     try:
-        return np.ma.array(np.ma.asanyarray(value), copy=False)
+        found = np.ma.array(np.ma.asanyarray(value), copy=False)
     except (RuntimeError, TypeError, ValueError) as error:
         raise InputError(f"{name}: expected an array ({error})") from None
+    if found.dtype.kind in "fiuc" and holds_flags(value):  # which NumPy takes for numbers
+        raise InputError(f"{name}: expected numbers alone, or True and False alone, got both")
+    return found
+
+
+def holds_flags(value: Any) -> bool:
+    """Whether a list, or a list in it, has flags."""
+    if not isinstance(value, (list, tuple)):
+        return False
+    kinds = {*map(type, value)}
+    return bool(
+        kinds & {bool, np.bool_} or (kinds & {list, tuple} and any(map(holds_flags, value)))
+    )
 
 
 def plain(name: str, value: Any, kind: Any = float, kinds: str = "fiu") -> ndarray:
