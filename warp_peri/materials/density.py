@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -303,11 +303,16 @@ class Density:
 
         x = np.array([*material.parameters.values()]) / scale
         nowhere = np.nan * left(x)
-        first = norm(slopes(tried, x), axis=0)
+        known = lru_cache(1)(lambda at: slopes(tried, np.array(at)))  # asked for twice at a start
+
+        def ahead(x: ndarray) -> ndarray:
+            return known(tuple(x))
+
+        first = norm(ahead(x), axis=0)
         for step in np.diag(BESIDE * (first <= TOLD * first.max(initial=0.0))):
             sides = (at for at in (x + step, x - step) if step.any())
             x = next((at for at in sides if np.isfinite(tried(at)).all()), x)
-        how: Any = {"jac": partial(slopes, tried), "x_scale": "jac", "method": "lm"}
+        how: Any = {"jac": ahead, "x_scale": "jac", "method": "lm"}
         found = least_squares(tried, x, **how)
         ended = dict(zip(names, (scale * found.x).tolist()))
         if (lost := untold(found.jac * found.x, first)).any():
