@@ -9,9 +9,8 @@ Under mpiexec the plate is spread over processes, with the same bits.
 
 import json
 import sys
-from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+sys.path.insert(0, __file__.rpartition("examples")[0])
 
 import numpy as np
 

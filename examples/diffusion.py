@@ -3,6 +3,7 @@
 Exact solutions are given on the collar.
 """
 
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable
 from typing import Any
 
@@ -93,7 +94,8 @@ def coupled(cells: int) -> tuple[float, float]:
     return of_u, of_phi
 
 
-def main() -> None:
+if __name__ == "__main__":
+    ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter).parse_args()
     cases: dict[str, Callable[[int], Any]] = {
         "smooth": lambda n: smooth(n, 0.0),
         "smooth, scattered": lambda n: smooth(n, 0.2),
@@ -107,7 +109,3 @@ def main() -> None:
         errors = [run(n) for n in SIDES]
         order = -np.polyfit(np.log(SIDES), np.log(errors), 1)[0]
         print(f"{name:26}", *(f"{e:.1e}" for e in errors), f"order {order:.2f}")
-
-
-if __name__ == "__main__":
-    main()

@@ -11,6 +11,8 @@ from matplotlib.figure import Figure
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
+from tools.options import RUNS as RUNS
+from tools.options import Options
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import destination, whole_file
 
@@ -34,6 +36,12 @@ def check_place(path: str | Path) -> Path:
     if place.exists() and b"tEXtSoftware\0warp_peri" not in place.read_bytes():
         raise InputError(f"{path}: is there already, and no picture of this job; move it away")
     return Path(path)
+
+
+def begin(doc: str | None, picture: str | Path) -> Path:
+    """The path of a script's picture, see check_place; its only option is --help."""
+    Options(doc).parse_args()
+    return check_place(picture)
 
 
 def save_figure(figure: Any, path: str | Path, dpi: float = 150, *, overwrite=False) -> None:

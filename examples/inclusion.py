@@ -6,6 +6,7 @@ Moduli are functions of position. Bonds add the compliances of μ along them, ba
 (theory, C15); the exact field is given on the collar. Prints errors and their order by pair.
 """
 
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -92,13 +93,10 @@ def inclusion(cells: int, inside: tuple, outside: tuple, d: int = 2) -> float:
     return float(np.linalg.norm((u - exact)[free]) / np.linalg.norm(exact[free]))
 
 
-def main() -> None:
+if __name__ == "__main__":
+    ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter).parse_args()
     cells = [8, 16, 32]
     for name, materials in CASES.items():
         errors = [inclusion(n, *materials) for n in cells]
         order = -np.polyfit(np.log(cells), np.log(errors), 1)[0]
         print(f"{name:30}", *(f"{100 * e:.2f} %" for e in errors), f"order {order:.2f}")
-
-
-if __name__ == "__main__":
-    main()

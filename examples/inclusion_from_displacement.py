@@ -10,9 +10,8 @@ to μ at every node costs one solve more for each field. Displacement alone does
 import json
 import sys
 from collections.abc import Callable
-from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+sys.path.insert(0, __file__.rpartition("examples")[0])
 
 import numpy as np
 import torch

@@ -2,17 +2,16 @@
 
 import json
 import sys
-from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent.parent))
+sys.path.insert(0, __file__.rpartition("examples")[0])
 import warp_peri
-from examples.figures import save_figure
+from examples.figures import RUNS, begin, save_figure
 from warp_peri import plots
 
-PICTURE = Path(__file__).parent.parent / "runs" / "learn_from_arrays.png"
+PICTURE = begin(__doc__, RUNS / "learn_from_arrays.png")
 LAM, MU = 0.3, 0.7  # Lamé parameters of the sheet [TPa], which the fit is not told
 
 # What you would bring: positions [Å], displacements [Å] and body forces [TPa/Å] of some tests.
@@ -36,7 +35,6 @@ numbers = {
     "statement": fit.certificate.statement,
 }
 
-if __name__ == "__main__":
-    print(json.dumps(numbers, indent=1, ensure_ascii=False))
-    plots.influence_function(fit.material, spacing=5.0, ax=plt.figure().add_subplot())
-    save_figure(plt.gcf(), PICTURE)
+print(json.dumps(numbers, indent=1, ensure_ascii=False))
+plots.influence_function(fit.material, spacing=5.0, ax=plt.figure().add_subplot())
+save_figure(plt.gcf(), PICTURE)

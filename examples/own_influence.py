@@ -3,16 +3,15 @@
 import dataclasses
 import json
 import sys
-from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent.parent))
+sys.path.insert(0, __file__.rpartition("examples")[0])
 import warp_peri
-from examples.figures import save_figure
+from examples.figures import RUNS, begin, save_figure
 
-PICTURE = Path(__file__).parent.parent / "runs" / "own_influence.png"
+PICTURE = begin(__doc__, RUNS / "own_influence.png")
 HORIZON, H = 15.0, 5.0  # Å
 
 
@@ -40,12 +39,11 @@ fit = warp_peri.fit(warp_peri.Samples(points, u, b), warp_peri.LPS(HORIZON, kern
 assert fit.influence is not None
 numbers = {"mu": fit.material.mu, **fit.influence.parameters}
 
-if __name__ == "__main__":
-    print(json.dumps(numbers, indent=1))
-    r = np.linspace(H, HORIZON)
-    for name, shape in (("first guess", guess), ("learned", fit.influence)):
-        plt.plot(r, shape(r), label=name)
-    plt.plot(r, ring(r, 9.0, 5.0), "k:", label="truth")
-    plt.gca().set(xlabel="bond length r [Å]", ylabel="K")
-    plt.legend()
-    save_figure(plt.gcf(), PICTURE)
+print(json.dumps(numbers, indent=1))
+r = np.linspace(H, HORIZON)
+for name, shape in (("first guess", guess), ("learned", fit.influence)):
+    plt.plot(r, shape(r), label=name)
+plt.plot(r, ring(r, 9.0, 5.0), "k:", label="truth")
+plt.gca().set(xlabel="bond length r [Å]", ylabel="K")
+plt.legend()
+save_figure(plt.gcf(), PICTURE)

@@ -1,5 +1,6 @@
 """A law of your own, springs between nodes, on one process or on two: mpiexec -n 2 python …"""
 
+from argparse import ArgumentParser
 from dataclasses import dataclass
 from tempfile import TemporaryDirectory
 from types import SimpleNamespace
@@ -42,6 +43,7 @@ class SpringLaw:
 
 
 if __name__ == "__main__":
+    ArgumentParser(description=__doc__).parse_args()
     x = 5.0 * (np.argwhere(np.ones((33, 33))) - 16)
     points = wp.Points(x, np.abs(x).max(axis=1) < 55, spacing=5.0)
     k, phase = np.array([[0.05, 0.02], [-0.03, 0.08], [0.11, 0.06]]), np.arange(3)[:, None]

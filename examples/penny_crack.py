@@ -2,20 +2,17 @@
 
 import json
 import sys
-from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, __file__.rpartition("examples")[0])
 
 import numpy as np
 
 import warp_peri as wp
-from examples.figures import check_place, panels, save_figure
+from examples.figures import RUNS, begin, panels, save_figure
 from warp_peri import Cracked
 from warp_peri.fracture import BrittleMaterial, Injected, box_nodes, energy_release, j_integral
 from warp_peri.fracture import penny_corners as corners
 
-PICTURE = ROOT / "runs" / "penny_crack.png"
 UNITS = ("mm", "GPa")
 LAM, MU, DENSITY, TOUGHNESS = 21.0, 26.0, 2450.0, 3.8e-6  # kg/m³; 1 J/m² is 1e-6 GPa mm
 NU = LAM / (2 * (LAM + MU))
@@ -70,7 +67,7 @@ def torn(side=24, radius=5.0, steps=400):
 
 
 if __name__ == "__main__":
-    check_place(PICTURE)
+    picture = begin(__doc__, RUNS / "penny_crack.png")
     points, motion, stress = torn()
     G, J = released()
     numbers = {
@@ -98,4 +95,4 @@ if __name__ == "__main__":
     axes[2].plot(1e-6 * motion.time, stress)
     axes[2].set(xlabel="time [µs]", ylabel="stress over Griffith's", title="The block unloads")
     figure.suptitle("A round crack, pulled apart, runs to the faces of its block")
-    save_figure(figure, PICTURE)
+    save_figure(figure, picture)

@@ -5,10 +5,9 @@ The load is minus the force that the missing bonds would carry.
 
 import json
 import sys
-from pathlib import Path
 from typing import Annotated
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+sys.path.insert(0, __file__.rpartition("examples")[0])
 
 import numpy as np
 

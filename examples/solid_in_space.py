@@ -2,16 +2,14 @@
 
 import json
 import sys
-from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent.parent))
+sys.path.insert(0, __file__.rpartition("examples")[0])
 import warp_peri
-from examples.figures import check_place, panels, save_figure
+from examples.figures import RUNS, begin, panels, save_figure
 from warp_peri.crystals import crystal_from_lps
 
-PICTURE = Path(__file__).parent.parent / "runs" / "solid_in_space.png"
 LAM, MU, BALL = 0.6, 0.8, 0.6
 SPACINGS = 1 / np.array([10, 14, 20, 28])
 
@@ -32,7 +30,7 @@ def swollen(h):
 
 
 if __name__ == "__main__":
-    check_place(PICTURE)
+    picture = begin(__doc__, RUNS / "solid_in_space.png")
     solved = [swollen(h) for h in SPACINGS]
     errors = [error for *_, error, _ in solved]
     order = float(np.polyfit(np.log(SPACINGS), np.log(errors), 1)[0])
@@ -52,4 +50,4 @@ if __name__ == "__main__":
     axes[1].set(xlabel="spacing [half sides], δ = 2 spacings")
     axes[1].set(ylabel="relative error of displacement", title="The error falls with spacing²")
     axes[1].legend(frameon=False)
-    save_figure(figure, PICTURE)
+    save_figure(figure, picture)

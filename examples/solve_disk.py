@@ -3,16 +3,15 @@
 import dataclasses
 import json
 import sys
-from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent.parent))
+sys.path.insert(0, __file__.rpartition("examples")[0])
 import warp_peri
-from examples.figures import save_figure
+from examples.figures import RUNS, begin, save_figure
 
-PICTURE = Path(__file__).parent.parent / "runs" / "solve_disk.png"
+PICTURE = begin(__doc__, RUNS / "solve_disk.png")
 LAM, MU, RADIUS, H = 0.3, 0.7, 1.0, 1 / 24
 HORIZON = 3 * H
 
@@ -36,11 +35,10 @@ body = points.interior
 error = np.linalg.norm((u - exact)[body]) / np.linalg.norm(exact[body])
 numbers = {"relative error of u": error, "largest u": np.abs(u[body]).max()}
 
-if __name__ == "__main__":
-    print(json.dumps(numbers, indent=1))
-    wrong = np.linalg.norm(u - exact, axis=1)
-    plt.scatter((x + u)[body, 0], (x + u)[body, 1], s=9, c=wrong[body])
-    plt.colorbar(label="|u − elasticity|")
-    plt.gca().set(aspect="equal", xlabel="x / R", ylabel="y / R")
-    plt.title("The disk as it spins; its core is held")
-    save_figure(plt.gcf(), PICTURE)
+print(json.dumps(numbers, indent=1))
+wrong = np.linalg.norm(u - exact, axis=1)
+plt.scatter((x + u)[body, 0], (x + u)[body, 1], s=9, c=wrong[body])
+plt.colorbar(label="|u − elasticity|")
+plt.gca().set(aspect="equal", xlabel="x / R", ylabel="y / R")
+plt.title("The disk as it spins; its core is held")
+save_figure(plt.gcf(), PICTURE)

@@ -7,14 +7,14 @@ at three spacings. `edge_crack` has a crack that runs in from the edge of a stri
 """
 
 import sys
-from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+sys.path.insert(0, __file__.rpartition("examples")[0])
 
 import numpy as np
 
 import warp_peri as wp
 from examples.exact import relative_error, westergaard
+from tools.options import Options
 from warp_peri import fracture
 from warp_peri.errors import exit_status
 
@@ -71,6 +71,7 @@ def edge_crack(
 
 
 def main() -> None:
+    Options(__doc__).parse_args()
     for cells in (8, 16, 32):
         errors = static_crack(cells, 3.0, 1.0)
         print(f"L/{cells}:", ", ".join(f"{k} {100 * e:.2f} %" for k, e in errors.items()))

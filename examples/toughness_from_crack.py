@@ -7,10 +7,9 @@ force is differentiable through all that breaks: torch through `simulate`. Draws
 import json
 import sys
 import time
-from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+sys.path.insert(0, __file__.rpartition("examples")[0])
 
 import numpy as np
 import torch

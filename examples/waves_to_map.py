@@ -9,10 +9,9 @@ data.
 import json
 import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+sys.path.insert(0, __file__.rpartition("examples")[0])
 
 import numpy as np
 import torch

@@ -1,15 +1,15 @@
 """A notched glass plate pulled apart: bonds break, a crack runs, a ledger keeps the energy."""
 
 import sys
-from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+sys.path.insert(0, __file__.rpartition("examples")[0])
 import warp_peri as wp
-from examples.figures import save_figure
+from examples.figures import begin, save_figure
 
+picture = begin(__doc__, "runs/cracks.png")
 h = 1e-3  # m; a plate of 10 cm by 4 cm
 units = ("m", "Pa")
 glass = wp.LPSMaterial(lam=21e9, mu=26e9, alpha=1.0, D=np.ones(1), horizon=3 * h, units=units)
@@ -25,4 +25,4 @@ run = wp.simulate(solid, plate, step=step, steps=300, every=10, no_fail=rim)
 print(run, f"energy that is missing from the ledger: {run.missing:.1e}", sep="\n")
 plt.scatter(1e3 * x[:, 0], 1e3 * x[:, 1], c=run.details.damage, s=4)
 plt.gca().set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title="Share of broken bonds")
-save_figure(plt.gcf(), "runs/cracks.png")
+save_figure(plt.gcf(), picture)

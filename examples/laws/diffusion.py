@@ -1,14 +1,14 @@
 """Heat through a plate with a round grain that conducts ten times better."""
 
 import sys
-from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+sys.path.insert(0, __file__.rpartition("examples")[0])
 import warp_peri as wp
-from examples.figures import save_figure
+from examples.figures import begin, save_figure
 
+picture = begin(__doc__, "runs/diffusion.png")
 h = 1 / 32
 steps = np.argwhere(np.ones((77, 77))) - 38
 units = ("sigma", "epsilon/sigma^3")  # of no length in particular
@@ -27,4 +27,4 @@ solution = wp.solve(material, wp.Dirichlet(points, np.zeros_like(phi), phi), kap
 
 print(material, solution, sep="\n")
 title = solution.plot().set_title("Temperature")
-save_figure(title.figure, "runs/diffusion.png")
+save_figure(title.figure, picture)

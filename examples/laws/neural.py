@@ -1,12 +1,12 @@
 """Graphene as a neural operator, trained for seconds at small widths."""
 
 import sys
-from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+sys.path.insert(0, __file__.rpartition("examples")[0])
 import warp_peri as wp
-from examples.figures import save_figure
+from examples.figures import begin, save_figure
 
+picture = begin(__doc__, "runs/neural.png")
 data = wp.load("data/graphene_0K.h5")  # of `make graphene`
 law = wp.neural.NeuralOperator(horizon=12.5, influence=(32, 32), state=(32, 32), strain=0.5)
 training = wp.neural.TrainingSettings(epochs=12)
@@ -17,4 +17,4 @@ error = wp.evaluate(fit.material, disk)["E_u"]
 
 print(fit.material, fit.history, sep="\n")
 title = solution.plot().set_title(f"A disk the fit never saw: {100 * error:.2f} % off")
-save_figure(title.figure, "runs/neural.png")
+save_figure(title.figure, picture)

@@ -1,12 +1,12 @@
 """Graphene at some per cent: a linear crystal, and the potential's third-order constants."""
 
 import sys
-from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+sys.path.insert(0, __file__.rpartition("examples")[0])
 import warp_peri as wp
-from examples.figures import save_figure
+from examples.figures import begin, save_figure
 
+picture = begin(__doc__, "runs/third_order.png")
 data = wp.load("data/graphene_0K.h5")  # of `make graphene`
 law = wp.ThirdOrder(wp.Crystal(horizon=15.0), wp.methods.Smoothing(radius=10.0))
 fit = wp.fit(data["train"], law)
@@ -16,4 +16,4 @@ error = wp.evaluate(fit.material, disk)["E_u"]
 
 print(fit.material, f"one solution up to |H| = {fit.material.proven_strain(5.0):.3f}", sep="\n")
 title = solution.plot().set_title(f"A disk the fit never saw: {100 * error:.2f} % off")
-save_figure(title.figure, "runs/third_order.png")
+save_figure(title.figure, picture)

@@ -1,12 +1,12 @@
 """A sheet with fibres, from displacement and load: an energy at nodes and on corners of cells."""
 
 import sys
-from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+sys.path.insert(0, __file__.rpartition("examples")[0])
 import warp_peri as wp
-from examples.figures import save_figure
+from examples.figures import begin, save_figure
 
+picture = begin(__doc__, "runs/tissue.png")
 data = wp.load("data/hgo.h5")  # of `python tools/make_hgo.py`
 read = wp.hyperelastic.fit_fibre_families(data["train"], stiffness=0.35)
 fit = wp.fit(data["train"], wp.hyperelastic.with_corners(read.dictionary), positive=True)
@@ -16,4 +16,4 @@ error = wp.evaluate(fit.material, disk)["E_u"]
 
 print(*wp.hyperelastic.in_words(fit.material), sep="\n")
 title = solution.plot().set_title(f"A disk the fit never saw: {100 * error:.2f} % off")
-save_figure(title.figure, "runs/tissue.png")
+save_figure(title.figure, picture)

@@ -40,6 +40,12 @@ COMMANDS = {
 """Options of a small size, and what holds of the numbers printed."""
 
 
+@pytest.fixture(autouse=True)
+def _no_options(monkeypatch):
+    monkeypatch.setattr("sys.argv", [""])
+    monkeypatch.setattr("examples.figures.RUNS", Path("runs"))
+
+
 @parametrize("name", LAWS)
 def test_a_law_in_a_few_lines(name, graphene, here):
     (here / "data").symlink_to(graphene.parent)
@@ -59,8 +65,9 @@ def test_a_law_in_a_few_lines(name, graphene, here):
     ("solve_disk", "relative error of u", approx(0, abs=5e-3)),
     ("own_influence", "radius", approx(9.0, rel=1e-5)),
 ])  # fmt: skip
-def test_a_script_finds_its_number(name, number, value):
-    assert importlib.import_module(f"examples.{name}").numbers[number] == value
+def test_a_script_finds_its_number(name, number, value, here):
+    assert runpy.run_path(str(FOLDER / f"{name}.py"))["numbers"][number] == value
+    plt.close("all")
 
 
 @filterwarnings("ignore:loads")

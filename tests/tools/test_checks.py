@@ -71,6 +71,11 @@ examples/waves_to_map.py --side 4 | --side: expected a whole number ≥ 8, got 4
 examples/plate_with_hole.py --model {frozen}/crystal.json | model: expected an LPSMaterial
 examples/polymer/tables.py nope | table: expected of law, plates
 """
+SENSELESS += "\n".join(
+    f"{path.relative_to(ROOT)} --nope | error: "
+    for path in [*ROOT.glob("examples/**/*.py"), *ROOT.glob("tools/*.py")]
+    if path.parent.name == "laws" or "__main__" in path.read_text("utf-8")
+)
 
 
 @parametrize("line", SENSELESS.strip().split("\n"))
