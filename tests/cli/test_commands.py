@@ -216,7 +216,7 @@ def test_dumps_become_sets_of_one_file(sheet, tmp_path, capsys):
     assert_allclose(mended["train"].b, load_dataset(out)["train"].b, rtol=1e-12)
 
 
-def test_a_typed_box_is_rounded_and_a_radius_fits(sheet, tmp_path, capsys):
+def test_a_typed_box_is_rounded_and_a_radius_fits(sheet, tmp_path, capsys, monkeypatch):
     words = [*sheet, "--thickness", "3.35", "--density", "2200", "--overwrite"]
     answer(capsys, *words, "--box", "40", "40")
     b = load_dataset(tmp_path / "own.h5")["train"].b
@@ -227,6 +227,12 @@ def test_a_typed_box_is_rounded_and_a_radius_fits(sheet, tmp_path, capsys):
     for more in (words, [*words, "--mass", 1]):
         assert main([*map(str, more), "--box", "40", "40"]) == 0
         assert ("atoms of several types" in capsys.readouterr().err) == (more is words)
+    kept = (tmp_path / "own.train.coarse-grain.txt").read_text()
+    with monkeypatch.context() as full:  # settings stay with the data that they made
+        full.setattr("warp_peri.cli.train.save_dataset", lambda *_: tmp_path.read_text())
+        assert main([*map(str, words), "--box", "40", "40", "--radius", "9"]) == 1
+    assert "Is a directory" in capsys.readouterr().err
+    assert (tmp_path / "own.train.coarse-grain.txt").read_text() == kept
     for more, said in (
         ("--box 40 40.2", "expected the header's 40 x 40 Å, got 40 x 40.2 Å"),
         ("--box 40 40 --radius 1e9", "at most 20 Å, half the smallest period, got"),

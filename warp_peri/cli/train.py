@@ -95,8 +95,9 @@ def run_coarse_grain(given: Namespace) -> Said:
         cone = {"shape": "cone", "radius": given.radius if alike else None}
         said = {**data.provenance, "smoothing": cone}
         made = dataclasses.replace(data, sets={**data.sets, given.set: samples}, provenance=said)
-        keep(given, *_set_of(given, made))  # a job that is killed between is done again
-        save_dataset(given.out, made)
+        with whole_file(given.out) as aside:
+            save_dataset(aside, made)
+            keep(given, *_set_of(given, made))  # a job that is killed between is done again
     result = {"file": str(given.out), "set": given.set, **samples.summary()}
     return result, lines_of(result)
 
