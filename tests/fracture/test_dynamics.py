@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from scipy.interpolate import UnivariateSpline
 
 from tests.support import approx, parametrize, refused
 from tests.support.bodies import plate, pulled, solid
@@ -87,12 +88,16 @@ def test_a_checkpoint_says_what_differs_and_goes_on_under_the_same_history_of_lo
     resumed, path = march(changed, same, steps=6), options.pop("checkpoint")
     assert march(changed, steps=6).u.numpy().tobytes() == resumed.u.numpy().tobytes()
     options["checkpoint"] = path.with_name("kept.h5")
-    counts = [lambda phi, seen=[]: seen.append(1) or len(seen) for _ in "12"]
-    counts[1].__defaults__ = ([],)
-    for steps, count in zip((2, 4, 6), (*counts, counts[1])):  # that write down what they see
-        march(steps=steps, watch=count)
-    counts[1].__defaults__[0].append(1)
+    keeps = [lambda phi, seen=[]: seen.append(phi) or phi.sum() for _ in "12"]
+    keeps[1].__defaults__ = ([],)
+    for steps, keep in zip((2, 4, 6), (*keeps, keeps[1])):  # what they see
+        march(steps=steps, watch=keep)
+    keeps[1].__defaults__[0].append(1)
     with refused("what differs: records"):
-        march(steps=6, watch=counts[1])
-    with refused("watch phi: expected what a checkpoint can tell from others"):
-        march(watch=np.frompyfunc(abs, 1, 1))
+        march(steps=6, watch=keeps[1])
+    options["checkpoint"] = path.with_name("splines.h5")
+    splines = [UnivariateSpline(np.arange(9.0), np.arange(9.0) ** n) for n in (1, 2)]
+    for steps in (2, 4):  # the same type of a package, whose objects change by use
+        march(steps=steps, watch=lambda phi, of=splines[0]: of(phi))
+    with refused("watch phi: expected a function of φ alone"):
+        march(watch=lambda phi, of=splines[1]: of(phi))

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import random
 import re
 import sys
 import sysconfig
@@ -20,7 +21,6 @@ from inspect import CO_NESTED, iscode, isfunction, ismodule, isroutine
 from pathlib import Path
 from types import CellType, FunctionType
 from typing import Any, cast
-from weakref import WeakKeyDictionary
 
 import h5py
 import numpy as np
@@ -40,15 +40,16 @@ COPIED = "__reduce__", "__reduce_ex__", "__getstate__"
 """By what an object says how it is copied."""
 CODE = "names varnames argcount posonlyargcount kwonlyargcount exceptiontable"
 """What code is told by, beside its instructions and the constants they read."""
-QUIET = (
-    "_csv _queue _thread concurrent. logging matplotlib.ax matplotlib.cbook matplotlib.co "
-    "matplotlib.figure matplotlib.image matplotlib.legend matplotlib.lines matplotlib.projections "
-    "matplotlib.quiver matplotlib.spines matplotlib.text matplotlib.ticker matplotlib.transforms "
-    "mpl_toolkits multiprocessing sqlite3 threading tqdm weakref"
-)
-"""Modules whose objects change as they draw, write and wait, and decide no number."""
+PLAIN = "builtins collections decimal fractions functools operator pathlib types warp_peri"
+"""Packages whose objects count with what they hold beside a motion, too."""
+CACHES = "_abc_impl", "_value2member_map_", "_inverted_"
+"""What Python's abstract classes and enumerations keep of their use."""
+QUIET = "_thread logging threading weakref"
+"""Modules of locks, logs and caches, which decide no number."""
 UNORDERED = Mapping, set, frozenset
 _OWN = f"{sysconfig.get_path('stdlib')}/", f"{Path(__file__).parents[1]}/"
+OF_ALL = os.environ, random.random.__self__, np.random.mtrand._rand  # type: ignore[attr-defined]
+"""What all of a process share, and no function is meant to depend on."""
 HOMES = ("/site-packages/", "/dist-packages/", *_OWN)
 """Parts of paths of installed packages, of Python's own modules and of this library's."""
 TRUSTED = "h5py matplotlib meshio numpy scipy torch tqdm warp warp_peri"
@@ -110,18 +111,19 @@ def _mixed(x: ndarray) -> ndarray:
     return mixed
 
 
-def fingerprint(*parts: Any) -> str:
+def fingerprint(*parts: Any, named: bool = False) -> str:
     """SHA-256 of values, by which a file kept beside a run knows what the run depends on.
 
     Arrays count with kind and shape; data classes (points, samples, settings, problems) with all
     their fields; materials with what their file holds; functions with their code and the values
-    that it reads; other objects with their attributes; numbers alike whatever type they are of. The
-    version of the library counts, too. What only C knows, as a factorisation, differs.
+    that it reads; other objects with their attributes, or those of installed packages by their
+    type alone (`named`); numbers alike whatever type they are of. The version of the library
+    counts, too. What only C knows, as a factorisation, differs.
     """
     leaves, holders, todo = dict[int, bytes](), dict[int, Any](), [parts := (__version__, *parts)]
     for part in todo:  # which keeps each, lest another gets its id
         if id(part) not in leaves:
-            said, held = _spelled(part)
+            said, held = _spelled(part, named)
             leaves[id(part)] = told = sha256(said).digest()
             if held:
                 holders[id(part)] = told, held, sorted if isinstance(part, UNORDERED) else list
@@ -134,10 +136,11 @@ def fingerprint(*parts: Any) -> str:
     return sha256(b"".join([marks[id(parts)], *sorted(classes)])).hexdigest()
 
 
-def _spelled(part: Any) -> tuple[bytes, list[Any]]:
+def _spelled(whole: Any, named: bool) -> tuple[bytes, list[Any]]:
     """Bytes that tell a value from others, and what it holds."""
-    kind, said, data, held = cast(Any, type(part)), "", b"", list[Any]()
-    home, part = kind.__module__, _unwrapped(part)
+    kind, said, data, held = cast(Any, type(whole)), "", b"", list[Any]()
+    home, part = kind.__module__, _unwrapped(whole)
+    known = is_users(home) or derived(whole, *PLAIN.split())
     if isinstance(part, (int, np.integer, np.bool_)):
         said = repr(int(part))
     elif isinstance(part, (float, complex, np.inexact)):
@@ -171,24 +174,25 @@ def _spelled(part: Any) -> tuple[bytes, list[Any]]:
         home = getattr(part, "__module__", part.__name__)
         said = f"{home} {part.__name__}"
         if is_users(home):
-            own = {n: v for n, v in vars(part).items() if n[:2] != "__" or isroutine(v)}
-            own.pop("_abc_impl", None)  # a cache
-            held = [own, getattr(part, "__bases__", ())]
-    elif hasattr(kind, "content"):
+            own = {n: v for n, v in vars(part).items() if n not in CACHES}
+            told = {n for n, v in own.items() if n[:2] != "__" or isroutine(v) or callable(v)}
+            held = [{n: own[n] for n in told}, getattr(part, "__bases__", ())]
+    elif named and not known:
+        said = f"{home} {kind.__qualname__} {getattr(part, '__name__', '')}"
+    elif derived(whole, "warp_peri") and hasattr(kind, "content"):
         held = [_lasting(part.content()), getattr(part, "unfiled", {})]
     elif is_dataclass(part):
         said = kind.__name__
         held = [(one.name, getattr(part, one.name, None)) for one in fields(part)]
     else:
         said = kind.__name__
-        if not str(kind.__module__).startswith(tuple(QUIET.split())):
-            held = [_attributes(part), [getattr(part, n, None) for n in HELD if hasattr(kind, n)]]
-            held += _copied(part, any(held))
+        held = [_attributes(part), [getattr(part, n, None) for n in HELD if hasattr(kind, n)]]
+        held += _copied(part, named or any(held))
     held += installed(home)
-    if hasattr(kind, "state_dict"):  # of networks
+    if derived(whole, "torch") and hasattr(kind, "state_dict"):  # of networks
         held += [part.state_dict()]
     if is_users(kind.__module__):  # it may be a subclass of any of these
-        held += [kind, {n: one for n, one in _attributes(part).items() if n not in OF_A_FIT}]
+        held += [kind, {n: one for n, one in _attributes(whole).items() if n not in OF_A_FIT}]
     return said.encode() + data, held
 
 
@@ -200,23 +204,23 @@ def _copied(part: Any, told: bool) -> Any:
         return part.__reduce_ex__(4)[: 2 if all(copied) else None]
     except Exception:  # of what is not copied: a lock, a file
         text = re.sub(r" at 0x[0-9a-fA-F]+", "", repr(part))
-        hidden = "(vectorized)" in text or (text != repr(part) and not told)
+        hidden = not told and ("(vectorized)" in text or text != repr(part))
         return [os.urandom(16) if hidden else text]
 
 
 def _unwrapped(part: Any) -> Any:
     """NumPy's array of a tensor or buffer, words of numbers that Python has none for, or the same
     value."""
-    if callable(getattr(type(part), "numpy", None)):  # of torch, and of Warp
+    if derived(part, "torch", "warp") and hasattr(part, "numpy"):
         try:
             return part.numpy(force=True) if hasattr(part, "detach") else part.numpy()
         except (TypeError, NotImplementedError):  # bfloat16, sparse ones, those without values
             return str(part.dtype), part.is_meta or part.to_dense().tolist()
     if isinstance(part, cKDTree):  # whose bytes are not all set
         return part.data, part.boxsize, part.leafsize
-    if isinstance(part, WeakKeyDictionary) or part is np.random.mtrand._rand:  # a cache, all draws
+    if derived(part, *QUIET.split()) or any(part is one for one in OF_ALL):
         return None
-    if hasattr(type(part), "get_obj"):  # a number that processes share
+    if derived(part, "multiprocessing") and hasattr(part, "get_obj"):  # that processes share
         return type(part.get_obj()), bytes(part.get_obj())
     if isinstance(part, np.vectorize):  # which keeps a ufunc once it is called
         return part.pyfunc, part.signature, part.excluded
@@ -230,7 +234,8 @@ def _attributes(part: Any) -> Values:
     state = object.__getstate__(part)
     own, slots = state if isinstance(state, tuple) else (state, None)
     found, kind = {**(own or {}), **(slots or {})}, type(part)
-    return {n: found[n] for n in found if not isinstance(getattr(kind, n, 0), cached_property)}
+    worked = {n for n in found if isinstance(getattr(kind, n, 0), cached_property)}
+    return {n: found[n] for n in found if n not in {*worked, *CACHES}}
 
 
 def _read_by(function: FunctionType) -> Values:
@@ -263,6 +268,11 @@ def _read_by(function: FunctionType) -> Values:
                 one = one.__name__, installed(one.__name__)
             read[f"{place} {name}"] = one
     return read
+
+
+def derived(one: Any, *packages: str) -> bool:
+    """Whether an object's class is of one of these packages, or derived from such a one."""
+    return any(base.__module__.split(".")[0] in packages for base in type(one).__mro__[:-1])
 
 
 @cache

@@ -290,6 +290,8 @@ class Recorder:
                 f"{file.path}: expected a checkpoint of this motion, got another's; what differs: "
                 f"{', '.join(differ)}"
             )
+        state = self.restored(state, arrays, taken)
+        self.check_end(state, rows)
         if self.ends and taken < steps and (taken - self.phase) % self.every:  # it is no end now
             for one in rows.values():
                 del one[-1:]
@@ -300,7 +302,10 @@ class Recorder:
             warn(f"series: no records after step {last} until {taken}, when it was left out")
         self.history = rows
         self.bent = float(plain(f"{file.path}: bent", content.get("bent")))
-        return self.restored(state, arrays, taken)
+        return state
+
+    def check_end(self, state: Any, rows: Mapping[str, list[Any]]) -> None:
+        """Raise InputError for histories, of a checkpoint, that its state does not end."""
 
 
 def _check(taken: int, steps: int) -> None:
