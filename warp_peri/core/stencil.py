@@ -117,6 +117,16 @@ def numbers_at(shape: Any, places: Any) -> ndarray:
     return number
 
 
+def stencil_in_box(spacing: float, C: ndarray, least: float = 0.0) -> Stencil:
+    """Stencil of C(ξ) = C(−ξ) at all places of a box about ξ = 0, [*box, c, c]: of ξ and −ξ one,
+    and none whose entries are at most a share `least` of the largest."""
+    steps, tensors = grid_places(C.shape[:-2]), C.reshape(-1, *C.shape[-2:])
+    size = np.abs(tensors).max(axis=(1, 2))
+    size[: len(size) // 2 + 1] = 0.0
+    kept = size > least * size.max()
+    return Stencil(spacing, (steps - steps[-1] // 2)[kept], tensors[kept])
+
+
 def laplacian_stencil(spacing: float, dimension: int, components: int) -> Stencil:
     """Stencil of the 2 d + 1-point Laplacian times the identity [1/length²]; its symbol is s(k)."""
     steps = np.eye(dimension, dtype=np.int64)

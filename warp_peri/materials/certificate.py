@@ -12,13 +12,13 @@ from numpy import ndarray
 from numpy.linalg import svd
 
 from warp_peri.core.proof import Figures, certify, prove, stencil_of
-from warp_peri.core.stencil import Stencil
+from warp_peri.core.stencil import Stencil, stencil_in_box
 from warp_peri.errors import InputError
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.arguments import USUAL, Positive, Units, offered, symbols, typed
 from warp_peri.points.families import BondClasses, bond_classes
-from warp_peri.points.points import PointsLike, grid_places
+from warp_peri.points.points import PointsLike
 from warp_peri.solvers.systems import DENSE, smallest_eigenvalue
 
 DIRECTIONS = 400
@@ -162,6 +162,4 @@ def squared(spacing: float, steps: ndarray, field: ndarray) -> Stencil:
     box = np.zeros((2 * far + 1,) * d)
     for step, f in zip(steps, field):
         np.add.at(box, tuple((step + steps + far).T), field @ f)
-    at = grid_places(box.shape) - far
-    half = (np.arange(len(at)) > len(at) // 2) & (box.ravel() != 0)
-    return Stencil(spacing, at[half], box.ravel()[half, None, None] * np.eye(d))
+    return stencil_in_box(spacing, box[..., None, None] * np.eye(d))

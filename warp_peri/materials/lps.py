@@ -16,7 +16,7 @@ import warp_peri.materials as materials
 from warp_peri.core.elastic import lattice_group, symmetric_part
 from warp_peri.core.proof import StencilCertificate, prove, statement_of
 from warp_peri.core.record import FieldUnits, Length, Record, taken
-from warp_peri.core.stencil import Stencil
+from warp_peri.core.stencil import Stencil, stencil_in_box
 from warp_peri.errors import OF_POSITIONS, InputError, Rows, Values, called, error_rows, hold, warn
 from warp_peri.materials.lps_force import CANCELLED, assemble, bonds_of
 from warp_peri.materials.lps_operator import LPSOperator
@@ -514,11 +514,7 @@ def stencil_of(classes: BondClasses, v: ndarray, kappa: float) -> Stencil:
         C = np.pad(C, d * [(reach, reach)] + 2 * [(0, 0)])
         for step, other in zip(classes.steps + reach, d * kappa * v[of, None] * xi):
             C[tuple(slice(n, n + len(phi)) for n in step)] += other[:, None] * phi[..., None, :]
-    steps = grid_places(C.shape[:d]) - C.shape[0] // 2
-    tensors = C.reshape(-1, d, d)
-    half = np.arange(len(steps)) > len(steps) // 2
-    kept = half & (np.abs(tensors).max(axis=(1, 2)) > NOTHING * np.abs(tensors[half]).max())
-    return Stencil(classes.spacing, steps[kept], symmetric_part(tensors)[kept])
+    return stencil_in_box(classes.spacing, symmetric_part(C), NOTHING)
 
 
 def moduli(model: LPSMaterial, classes: BondClasses) -> dict[str, float]:

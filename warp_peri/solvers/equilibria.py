@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator
 
 from warp_peri.core.elastic import symmetric_part
-from warp_peri.core.stencil import Stencil
+from warp_peri.core.stencil import Stencil, stencil_in_box
 from warp_peri.errors import InputError, quietly, warn
 from warp_peri.points.arguments import ArrayMap, checked_fields
 from warp_peri.points.points import Points, grid_places
@@ -50,11 +50,9 @@ def probed(operator: Any) -> Stencil:
         v = none.copy()
         v[len(v) // 2] = axis
         columns.append(-placed.jvp(none, v) @ axes)
-    C, at = np.stack(columns, axis=2), grid[interior]
+    C = np.stack(columns, axis=2)
     C = symmetric_part((C + C[::-1]) / 2)  # ξ and −ξ
-    first = np.arange(len(at)) > len(at) // 2
-    kept = first & (np.abs(C).max(axis=(1, 2)) > NOTHING * np.abs(C).max())
-    return Stencil(h, at[kept], C[kept])
+    return stencil_in_box(h, C.reshape(*d * (2 * reach + 1,), d, d), NOTHING)
 
 
 ROUGH, LINEAR_SHARE = 1e-3, 1e-2
