@@ -326,15 +326,21 @@ class Grid:
         rest = field.ndim - self.dimension
         return np.pad(field, [(0, 0)] * rest + [(self.reach,) * 2] * self.dimension, mode="wrap")
 
+    def within(self, planes: ndarray) -> ndarray:
+        """Planes [..., *wide] without the images around a period, [..., *shape]."""
+        return planes[..., *self.core] if self.periodic else planes
+
     def scatter_interior(self, inner: ndarray) -> ndarray:
         """Vectors of the interior nodes [I, d] laid out in planes [d, *shape], zero elsewhere."""
         field = np.zeros((self.dimension, np.prod(self.shape)))
         field[:, self.interior] = (inner @ self.axes).T
         return field.reshape(self.dimension, *self.shape)
 
-    def gather(self, planes: ndarray) -> ndarray:
-        """Values of planes [S, d, *shape] at interior nodes, along the points' axes, [S, I, d]."""
-        flat = planes.reshape(*planes.shape[:2], -1)[:, :, self.interior]
+    def gather(self, planes: ndarray, place: ndarray | None = None) -> ndarray:
+        """Values of planes [S, d, *shape] at interior nodes, along the points' axes, [S, I, d], or
+        at the nodes of other places."""
+        place = self.interior if place is None else place
+        flat = planes.reshape(*planes.shape[:2], -1)[:, :, place]
         return np.ascontiguousarray(flat.mT @ self.axes.T.astype(planes.dtype))
 
 
@@ -427,8 +433,7 @@ class ByRows:
     def __init__(
         self, nodes: Grid, steps: ndarray, tensors: ndarray, dtype: Any = np.float64
     ) -> None:
-        self.nodes, self.core = nodes, (slice(None), slice(None), *nodes.core)
-        self.dtype, self.scalar = np.dtype(dtype), SCALARS[np.dtype(dtype)]
+        self.nodes, self.dtype, self.scalar = nodes, np.dtype(dtype), SCALARS[np.dtype(dtype)]
         self.kernels = rows(self.scalar, nodes.dimension)
         strides = np.array([math.prod(nodes.wide[a + 1 :]) for a in range(nodes.dimension)])
         self.offset = ints(steps @ strides)
@@ -446,12 +451,10 @@ class ByRows:
         laid = room[:-lanes].reshape(count, -1)
         laid[:] = planes.reshape(count, -1)
         out = np.zeros_like(laid)
-        if len(self.asked):
-            ends = (floats(one, self.scalar) for one in (laid, out))
-            given, how = (self.asked, self.offset, self.tensors, *ends), lanes // FASTER
-            launch_slices(self.kernels.pulled, len(self.asked), given, samples=count, weight=how)
-        force = out.reshape(planes.shape)
-        return force[self.core] if nodes.periodic else force
+        ends = (floats(one, self.scalar) for one in (laid, out))
+        given, how = (self.asked, self.offset, self.tensors, *ends), lanes // FASTER
+        launch_slices(self.kernels.pulled, len(self.asked), given, samples=count, weight=how)
+        return nodes.within(out.reshape(planes.shape))
 
 
 def row_pieces(places: ndarray, lanes: int, numbers: ndarray) -> ndarray:
@@ -478,10 +481,7 @@ class ByFFT:
 
     def __call__(self, planes: ndarray) -> ndarray:
         """L u at the unknown nodes of planes [S, d, *wide]; planes [S, d, *shape], else zero."""
-        nodes = self.nodes
-        if nodes.periodic:
-            planes = planes[:, :, *nodes.core]
-        out = np.stack([convolved(self.symbol, one, self.torus) for one in planes])
+        out = [convolved(self.symbol, one, self.torus) for one in self.nodes.within(planes)]
         return np.asarray(out * self.mask)
 
 
@@ -515,15 +515,12 @@ def convolved(symbol: ndarray, field: ndarray, torus: Shape) -> ndarray:
 
 
 def inverse(symbol: ndarray) -> ndarray:
-    """Inverse of symbol matrices [d, d, …]; 0 where that has none (k = 0)."""
-    answer, largest, first = np.empty_like(symbol), np.abs(symbol).max(), (0,) * (symbol.ndim - 3)
+    """Inverse of symbol matrices [d, d, …], in their place; 0 where that has none (k = 0)."""
+    at_rest = symbol[..., *(0,) * (symbol.ndim - 2)]
+    if none := np.abs(at_rest).max() <= 1e-12 * np.abs(symbol).max():
+        at_rest[:] = np.eye(len(symbol))
     for row in range(symbol.shape[2]):  # in space all matrices at once are much memory
-        full = np.moveaxis(symbol[:, :, row], (0, 1), (-2, -1)).copy()
-        singular = row == 0 and np.abs(full[first]).max() <= 1e-12 * largest
-        if singular:
-            full[first] = np.eye(len(symbol))
-        found = inv(full)
-        if singular:
-            found[first] = 0
-        answer[:, :, row] = np.moveaxis(found, (-2, -1), (0, 1))
-    return answer
+        full = np.moveaxis(symbol[:, :, row], (0, 1), (-2, -1))
+        full[:] = inv(full)
+    at_rest *= not none
+    return symbol

@@ -211,9 +211,7 @@ class LPSOperator(OperatorBase):
 
             def pull(planes: ndarray) -> ndarray:
                 u = np.zeros((len(planes), *self.shape))
-                flat = planes[:, :, *grid.core] if grid.periodic else planes
-                flat = flat.reshape(*planes.shape[:2], -1)[:, :, grid.place]
-                u[:, grid.near] = flat.mT @ grid.axes.T
+                u[:, grid.near] = grid.gather(grid.within(planes), grid.place)
                 return np.stack([grid.scatter_interior(one) for one in self.force(u)])
 
             linear.pull = pull

@@ -265,14 +265,13 @@ def quadratic_stresses(H: ndarray) -> ndarray:
 def second_order(grid: Grid, spacing: float, u: ndarray) -> ndarray:
     """Forces of the quadratic stresses of u [S, N, d], by lattice differences, [7, S, I, d]."""
     axes = tuple(range(2, 2 + grid.dimension))
-    crop = (..., *grid.core) if grid.periodic else (...,)
 
     def slopes(planes: ndarray) -> ndarray:
         return np.stack(np.gradient(planes, spacing, axis=axes), axis=-1)
 
     def force(P: ndarray) -> ndarray:
         bent = [slopes(np.moveaxis(P[..., j], -1, 1))[..., j] for j in range(grid.dimension)]
-        return grid.gather(np.sum(bent, axis=0)[crop])
+        return grid.gather(grid.within(np.sum(bent, axis=0)))
 
     H = np.moveaxis(slopes(grid.scatter(u)), 1, -2)
     return np.array([force(P) for P in quadratic_stresses(H)])

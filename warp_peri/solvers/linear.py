@@ -113,7 +113,7 @@ class Linear:
         grid, by = self.grid, self._torus
         field = convolved(by.symbol, grid.scatter_interior(inner), by.torus)
         out = np.zeros(self.points.x.shape)
-        out[grid.near] = field.reshape(len(field), -1)[:, grid.place].T @ grid.axes.T
+        out[grid.near] = grid.gather(field[None], grid.place)[0]
         return out
 
     def check_definite(self) -> None:
@@ -243,9 +243,8 @@ class Linear:
         asked, method = self.points.interior[:, None], self.method(method)
         answer, records = np.where(asked, 0.0, u), []
         for one, field in zip(b, answer):
-            right = self.grid.scatter(np.where(asked, one, 0.0)[None])
+            right = self.grid.within(self.grid.scatter(np.where(asked, one, 0.0)[None]))
             if self.grid.periodic:
-                right = right[:, :, *self.grid.core]
                 over: Any = {"axis": tuple(range(2, right.ndim)), "keepdims": True}
                 largest = np.abs(right).max(**over)
                 right = right - right.mean(**over)
