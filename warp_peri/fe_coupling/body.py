@@ -42,7 +42,7 @@ from warp_peri.materials.certificate import with_proof
 from warp_peri.materials.lps import LPSMaterial, moduli
 from warp_peri.materials.transfer import model_at
 from warp_peri.points.arguments import Pair, Share, checked, symbols, typed
-from warp_peri.points.families import bond_classes, edge_strain, largest_strain
+from warp_peri.points.families import bond_classes, largest_strain
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.solvers.solution import TOLERANCE, warn_beyond
@@ -250,7 +250,9 @@ def long_wave(model: Any, spacing: float) -> Moduli:
 def _largest_strain(found: BodySolution) -> float:
     """Largest strain along an edge of the mesh, or between nodes of the bulk."""
     mesh = found.rim.mesh
-    strain = edge_strain(mesh.x, mesh.cells, found.on_corners()[0])
+    ends = mesh.cells[:, [0, 1, 2, 0]]
+    xi, moved = (np.diff(of[ends], axis=1) for of in (mesh.x, found.on_corners()[0]))
+    strain = float(np.abs((xi * moved).sum(axis=-1) / (xi**2).sum(axis=-1)).max())
     return max(strain, largest_strain(found.points, found.u_bulk)) if found.points else strain
 
 

@@ -61,8 +61,7 @@ class LatticeBody(InSpace):
     @property
     def opposite(self) -> ndarray:
         """Number of the bond with the opposite vector, shape [B]."""
-        order = np.lexsort(self.classes.steps.T)
-        return order[::-1][np.argsort(order)]
+        return self.classes.reverse
 
 
 @typed

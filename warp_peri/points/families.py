@@ -79,6 +79,12 @@ class BondClasses(Held):
         """Number of bonds of a family in each class, shape [C]."""
         return np.bincount(self.bond_class)
 
+    @property
+    def reverse(self) -> ndarray:
+        """Number of the bond with the opposite vector, shape [B]."""
+        order = np.lexsort(self.steps.T)
+        return order[::-1][np.argsort(order)]
+
 
 @dataclass(frozen=True)
 class Families:
@@ -205,8 +211,7 @@ def families_of(
     if classes is None:
         weight = weights(x, np.flatnonzero(needed), row, ends, points.box, horizon, degree)
         return Families(row, neighbour, reverse, r, weight, *nodes)
-    order = np.lexsort(classes.steps.T)
-    reverse = order[::-1][np.argsort(order)].astype(np.int32)
+    reverse = classes.reverse.astype(np.int32)
     tables = classes.r, classes.weight, *nodes, classes.xi @ axes.T, classes
     return Families(row, neighbour, reverse, *tables)
 
@@ -348,13 +353,6 @@ def largest_strain(points: PointsLike, u: ArrayLike) -> float:
     fields = np.asarray(u).reshape(-1, *points.x.shape)[:, body]
     along = (np.abs((unit * (one[near] - one[:, None])).sum(axis=-1)) for one in fields)
     return max((float(one.max(initial=0)) for one in along), default=0.0)
-
-
-def edge_strain(x: ndarray, triangles: ndarray, u: ndarray) -> float:
-    """Largest strain of edges of triangles [T, 3] of corners x [P, 2], as largest_strain."""
-    after = np.roll(triangles, -1, axis=1)
-    xi, relative = x[after] - x[triangles], u[after] - u[triangles]
-    return float(np.abs((xi * relative).sum(axis=-1) / (xi**2).sum(axis=-1)).max(initial=0.0))
 
 
 def quadrature_weights(xi: ArrayLike, horizon: float, *, degree: int = DEGREE) -> ndarray:
