@@ -20,6 +20,7 @@ from warp_peri.fracture.body import lattice_body
 from warp_peri.fracture.bonds import bond_matrix, bonds_of, dilatations
 from warp_peri.fracture.statics import INDEFINITE
 from warp_peri.materials.lps import LPSMaterial, Modulus, bernstein_basis, check_influence
+from warp_peri.materials.lps_force import Bonds
 from warp_peri.points.arguments import (
     USUAL,
     ArrayMap,
@@ -30,7 +31,6 @@ from warp_peri.points.arguments import (
     checked_fields,
     mean_inverse,
 )
-from warp_peri.points.families import families_of
 from warp_peri.points.points import PointsLike, nearest, nodes_of
 from warp_peri.protocols import OperatorBase, renumbered
 from warp_peri.solvers.adjoint import stepped
@@ -114,17 +114,14 @@ class DiffusionOperator(FlowOperator):
         self.model, self.points = law, nodes_of(points)  # in the plane or in space
         check_same(law.units, self.points.units)
         self.is_symmetric = self.points.spacing > 0  # on lattices
-        families = families_of(self.points, law.horizon, bond_based=True)
-        self.rows, row, classes = families.rows, families.row, families.lattice
-        counts = row[self.rows + 1] - row[self.rows]
-        own = np.repeat(np.arange(len(counts)), counts)  # bonds of the interior, in its order
-        place = np.arange(len(own)) - np.repeat(np.cumsum(counts) - counts, counts)
-        bond = place + row[self.rows[own]]
-        number = bond if classes is None else classes.bond_class[place]
-        self._owner, self._r, self._weight = own, families.r[number], families.weight[number]
-        # broken bonds count in m and carry nothing; on a lattice −1 is also of no node
-        self._kept = (far := families.neighbour[bond]) >= 0
-        self._ends = self.rows[own[self._kept]], far[self._kept]
+        bonds = Bonds(self.points, law.horizon, bond_based=True)
+        families, inside = bonds.families, self.points.interior
+        self.rows, classes = families.rows, families.lattice
+        near, far, _, kind = (one[inside[bonds.listing[0]]] for one in bonds.listing)
+        self._owner = (np.cumsum(inside) - 1)[near]  # among the interior nodes
+        self._r, self._weight = families.r[kind], families.weight[kind]
+        self._kept = far >= 0  # broken bonds count in m and carry nothing
+        self._ends = near[self._kept], far[self._kept]
         given: Any = law.conductivity if kappa is None else kappa
         self._series = self._along_bonds(given) if callable(given) else None
         if self._series is None:
