@@ -13,7 +13,6 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy import ndarray
-from scipy.sparse.linalg import splu
 from tqdm.auto import tqdm
 
 from warp_peri import __version__
@@ -63,6 +62,7 @@ from warp_peri.points.arguments import Positive, symbols, typed
 from warp_peri.points.dataset import Dataset, largest_wave_number, sets_of
 from warp_peri.points.families import carried_horizon, families_of, largest_strain
 from warp_peri.points.points import WAVE_VECTOR, Samples, check_lattice
+from warp_peri.solvers.systems import definite_factors
 
 RELATIVE_ZETA = 0.0161
 """ζ over the stiffness that the data show, where none was asked for: 0.0100 TPa on graphene."""
@@ -537,8 +537,7 @@ def displacement_error(stencil: Stencil, samples: Samples, least: int | None = N
     unknown = np.repeat(inside, stencil.dimension)
     unknown[: stencil.dimension * grid.periodic] = False  # a node holds a period
     L = block(stencil, there, around=grid.periodic)[unknown]
-    factors = splu(L[:, unknown], diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    if not (factors.U.diagonal() > 0).all():
+    if (factors := definite_factors(L[:, unknown])) is None:
         return np.inf
     found = u.reshape(b.shape).copy()
     found[:, unknown] = factors.solve(b[:, unknown].T - L[:, ~unknown] @ found[:, ~unknown].T).T
