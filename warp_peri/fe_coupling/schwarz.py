@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
+from operator import matmul
 from typing import Any
 
 import numpy as np
@@ -298,10 +300,8 @@ def in_elements(
     follow, one = RimProblem(K, fixed | ~shared), sp.eye_array(len(fixed))
     as_load, as_given = (sp.vstack([a * one, (1 - a) * one]) for a in (1, 0))
     pull = as_load @ (-sp.diags_array(outer.astype(float)) @ K)
-    chain = [trace, whole, pull, follow, as_given @ jump]
-    felt, pulled, *more = (aslinearoperator(part) for part in chain)
-    for part in (pulled, *more):
-        felt = felt @ part
+    chain = trace, whole, pull, follow, as_given @ jump
+    felt = reduce(matmul, map(aslinearoperator, chain))
     return guess, aslinearoperator(sp.eye_array(x.size)) + felt
 
 
