@@ -6,7 +6,6 @@ import hashlib
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -33,6 +32,7 @@ from warp_peri.points.arguments import (
 from warp_peri.points.dataset import Dataset, warn_of_unseen
 from warp_peri.points.points import Samples
 from warp_peri.protocols import options_of, placed
+from warp_peri.solvers.systems import turns_of
 
 ERRORS = ("E_res", "E_u", "E_res_abs")
 """Those of the means of `evaluate` that a model is kept with, where the metrics hold them."""
@@ -122,10 +122,8 @@ def errors_of(key: str, off: ArrayLike, whole: ArrayLike = 1.0) -> Values:
 
 def without_rigid_part(x: ndarray, u: ndarray) -> ndarray:
     """Fields u, [S, N, d], less the translation and small rotation nearest to them."""
-    x, one = x - x.mean(axis=0), np.eye(x.shape[1])
-    pairs = combinations(range(len(one)), 2)
-    turns = [(x[:, [b]] * one[a] - x[:, [a]] * one[b]).ravel() for a, b in pairs]
-    left, T = (u - u.mean(axis=1, keepdims=True)).reshape(len(u), -1).T, np.transpose(turns)
+    left, T = (u - u.mean(axis=1, keepdims=True)).reshape(len(u), -1).T, turns_of(x)
+    T = T.reshape(x.size, -1)
     return np.asarray((left - T @ lstsq(T, left)[0]).T.reshape(u.shape))
 
 

@@ -171,20 +171,22 @@ def end_of_spectrum(symmetric: Any, which: str, **how: Any) -> float:
     return float(eigsh(symmetric, 1, which=which, v0=start, return_eigenvectors=False, **how)[0])
 
 
+def turns_of(x: ndarray) -> ndarray:
+    """Small turns of positions x [n, d] about their middle, one for each two axes, [n, d, turns]."""
+    x, one = x - x.mean(axis=0), np.eye(x.shape[1])
+    pairs = itertools.combinations(range(len(one)), 2)
+    return np.stack([x[:, [b]] * one[a] - x[:, [a]] * one[b] for a, b in pairs], axis=-1)
+
+
 def loose_pieces(x: ndarray, piece: ndarray, held: ndarray) -> Iterator[tuple[ndarray, int, int]]:
     """Iterate over pieces of a body that can still move rigidly: their nodes, how many rigid
     motions are stopped, and of how many (3 or 6). `piece` numbers the piece of each node, [N];
     `held` are components that are given, [N, d] bool."""
-    d = x.shape[1]
-    turns = list(itertools.combinations(range(d), 2))
     for number in np.unique(piece):
         nodes = np.flatnonzero(piece == number)
-        away = x[nodes] - x[nodes].mean(axis=0)
-        away /= np.abs(away).max() or 1.0
-        motions = np.zeros((len(nodes), d, d + len(turns)))
-        motions[:, range(d), range(d)] = 1
-        for turn, (a, b) in enumerate(turns, d):
-            motions[:, a, turn], motions[:, b, turn] = -away[:, b], away[:, a]
+        turns = turns_of(x[nodes])
+        shifts = np.tile(np.eye(x.shape[1]), (len(nodes), 1, 1))
+        motions = np.concatenate([shifts, turns / (np.abs(turns).max() or 1.0)], axis=2)
         felt = motions[held[nodes]]
         rank = int(matrix_rank(felt, tol=1e-9)) if len(felt) else 0
         if rank < motions.shape[2]:
