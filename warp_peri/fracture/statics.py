@@ -14,7 +14,6 @@ import numpy as np
 import scipy.sparse as sp
 from numpy import ndarray
 from numpy.typing import ArrayLike
-from scipy.sparse.csgraph import connected_components
 from tqdm import tqdm
 
 import warp_peri.fracture as fracture
@@ -33,6 +32,7 @@ from warp_peri.fracture.bonds import (
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.points.arguments import Count, Numbers, Positive, checked, typed
 from warp_peri.points.families import BondClasses
+from warp_peri.points.mesh import joined
 from warp_peri.points.points import Points
 from warp_peri.protocols import OperatorBase
 from warp_peri.solvers.motion import Motion
@@ -231,10 +231,8 @@ def check_pieces(body: LatticeBody, neighbour: ndarray, held: ndarray) -> None:
     if held.all():
         raise InputError("free: expected at least one component, got none")
     node, bond = np.nonzero(neighbour >= 0)
-    links = sp.csr_array(
-        (np.ones(len(node)), (node, neighbour[node, bond])), shape=2 * (len(neighbour),)
-    )
-    for nodes, rank, most in loose_pieces(body.x, connected_components(links)[1], held):
+    piece = joined(len(body.x), np.column_stack([node, neighbour[node, bond]]))
+    for nodes, rank, most in loose_pieces(body.x, piece, held):
         raise InputError(
             f"crack: a piece of {len(nodes)} nodes, node {nodes[0]} among them, is held against "
             f"{rank} of its {most} rigid motions only; hold it or leave it whole"

@@ -112,7 +112,7 @@ class Mesh(InSpace, Shown):
     def hole_sizes(self) -> ndarray:
         """Smallest side of the box around each hole or cavity [length], shape [holes]."""
         pairs = np.concatenate([self.faces[:, [a, a - 1]] for a in range(self.dimension)])
-        label = _joined(len(self.x), pairs)
+        label = joined(len(self.x), pairs)
         turn = det(self.x[self.faces])
         holes = np.flatnonzero(np.bincount(label[self.faces[:, 0]], turn) < 0)
         of, x = label[self.faces.ravel()], self.x[self.faces.ravel()]
@@ -241,7 +241,7 @@ def facets_of(t: ndarray) -> tuple[ndarray, ndarray, ndarray, ndarray]:
     return every, keys, back.ravel(), count
 
 
-def _joined(count: int, pairs: ndarray) -> ndarray:
+def joined(count: int, pairs: ndarray) -> ndarray:
     """Group number of each of `count` things joined by pairs [n, 2]."""
     links = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(count, count))
     return np.asarray(connected_components(links, directed=False)[1])
@@ -249,7 +249,7 @@ def _joined(count: int, pairs: ndarray) -> ndarray:
 
 def _welded(x: ndarray, near: float) -> ndarray:
     """First corner at each corner's place, shape [P]; warns where some coincide."""
-    label = _joined(len(x), cKDTree(x).query_pairs(near, output_type="ndarray"))
+    label = joined(len(x), cKDTree(x).query_pairs(near, output_type="ndarray"))
     first = np.unique(label, return_index=True)[1]
     if len(first) < len(x):
         warn(
@@ -322,4 +322,4 @@ def pieces(cells: ndarray) -> ndarray:
     """Piece number of each cell; cells of a piece are connected by facets."""
     count, (_, keys, facet, _) = len(cells), facets_of(cells)
     pairs = np.stack([np.tile(np.arange(count), cells.shape[1]), count + facet], axis=1)
-    return _joined(count + len(keys), pairs)[:count]
+    return joined(count + len(keys), pairs)[:count]
