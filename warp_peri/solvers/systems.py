@@ -172,7 +172,7 @@ def end_of_spectrum(symmetric: Any, which: str, **how: Any) -> float:
 
 
 def turns_of(x: ndarray) -> ndarray:
-    """Small turns of positions x [n, d] about their middle, one for each two axes, [n, d, turns]."""
+    """Small turns of positions x [n, d] about their middle, one a pair of axes, [n, d, turns]."""
     x, one = x - x.mean(axis=0), np.eye(x.shape[1])
     pairs = itertools.combinations(range(len(one)), 2)
     return np.stack([x[:, [b]] * one[a] - x[:, [a]] * one[b] for a, b in pairs], axis=-1)
