@@ -327,8 +327,8 @@ class Grid:
         return np.pad(field, [(0, 0)] * rest + [(self.reach,) * 2] * self.dimension, mode="wrap")
 
     def within(self, planes: ndarray) -> ndarray:
-        """Planes [..., *wide] without the images around a period, [..., *shape]."""
-        return planes[..., *self.core] if self.periodic else planes
+        """Planes [S, d, *wide] without the images around a period, [S, d, *shape]."""
+        return planes[:, :, *self.core] if self.periodic else planes
 
     def scatter_interior(self, inner: ndarray) -> ndarray:
         """Vectors of the interior nodes [I, d] laid out in planes [d, *shape], zero elsewhere."""
@@ -516,7 +516,7 @@ def convolved(symbol: ndarray, field: ndarray, torus: Shape) -> ndarray:
 
 def inverse(symbol: ndarray) -> ndarray:
     """Inverse of symbol matrices [d, d, …], in their place; 0 where that has none (k = 0)."""
-    at_rest = symbol[..., *(0,) * (symbol.ndim - 2)]
+    at_rest = symbol.T[(0,) * (symbol.ndim - 2)].T
     if none := np.abs(at_rest).max() <= 1e-12 * np.abs(symbol).max():
         at_rest[:] = np.eye(len(symbol))
     for row in range(symbol.shape[2]):  # in space all matrices at once are much memory
