@@ -161,7 +161,7 @@ def test_a_solve_changes_nothing_and_copies_are_made_anew(op):
 
 def test_a_copy_keeps_neither_samples_nor_what_was_changed_since():
     law, points = OPERATORS["conductor"]().model, lattice(4, 1.5)
-    kappa = np.ones(len(points.x))
+    kappa = np.ones(len(points.x), ">f8")[::-1]  # of any kind of array
     op = law.on(points, kappa=kappa)
     u = field(op)
     kappa[:] = 2.0

@@ -14,12 +14,10 @@ from tests.support import filterwarnings, in_plane_and_space, near, parametrize,
 from tests.support.clouds import larger
 from tests.support.fields import field, solved_samples, uneven
 from tests.support.materials import LAWS, SPREAD, operator, placed, saint_venant
-from tests.support.plates import plate
 from tests.support.problems import kernel, lattice, loaded, noise, on_interior
 from tests.support.sheets import waves
 from tests.support.solving import solve
 from warp_peri.fracture import Cracked
-from warp_peri.materials.crystal import crystal_from_lps
 from warp_peri.points.arguments import USUAL, factors
 
 pytestmark = filterwarnings(
@@ -100,24 +98,6 @@ def test_very_small_loads_are_answered_in_proportion_and_unanswerable_ones_refus
         wp.solve(LAWS[name].material(), load)
 
 
-@parametrize("make", [lambda: SOLID, lambda: crystal_from_lps(SOLID, 1.0).certified()])
-def test_a_body_with_free_edges(make, scale):
-    material = make()
-    other, length, stress = resized(material, scale)
-
-    def pulled(size, load):
-        return wp.Body(
-            plate(5.0 * size, 25.0 * size, 7, 32),
-            displacement={"sides": lambda x: 0.01 * x * (1, -0.3)},
-            traction={"hole": lambda x, n: 0.002 * load * n},
-            coupling=wp.methods.Coupling(spacing=1.0 * size, overlap=3.0 * size),
-        )
-
-    first = wp.solve(material, pulled(1.0, 1.0))
-    assert first.method == "elements and lattice"
-    near(wp.solve(other, pulled(length, stress)).u, length * first.u, 1e-5)
-
-
 def test_another_lattice(scale):
     """A kernel is fitted there, whose conditions are those of the solid, however soft."""
     bound = wp.certify(SOLID, spacing=1.0).figures()
@@ -128,26 +108,6 @@ def test_another_lattice(scale):
     found = wp.solve(other, wp.Dirichlet(there, made.b * stress / length, length * made.u))
     near(found.u, length * made.u, 1e-4)
     assert found.proven
-
-
-def test_a_length_that_is_learned(scale):
-    op = placed("LPS")[0]
-    samples, (_, length, stress) = solved_samples(op), resized(op.model, scale)
-    there = larger(samples.points, length), length * samples.u, samples.b * stress / length
-
-    def learned(samples, horizon):
-        kernel = wp.influence.named("exponential", horizon)
-        found = wp.fit(samples, wp.LPS(horizon, kernel)).material
-        return found, *found.provenance["influence"]["parameters"].values()
-
-    one, mine = learned(samples, op.model.horizon)
-    other, its = learned(wp.Samples(*there), length * op.model.horizon)
-    assert mine != op.model.horizon
-    near(
-        [other.lam, other.mu, its * stress / length],
-        stress * np.array([one.lam, one.mu, mine]),
-        1e-5,
-    )
 
 
 @parametrize("size", [1e-6, 1e6, 1e-10])

@@ -13,12 +13,13 @@ from tests.support import filterwarnings, parametrize, refused
 from tests.support.fields import double, field, seeded, tensor, tensors
 from tests.support.materials import CRACK, FLOWS, KINKED, LAWS, OPERATORS, operator
 from tests.support.problems import lattice
-from tests.support.solving import solve
 
 pytestmark = filterwarnings("ignore::UserWarning")
 DIFFERENCES = 1e-6
 D = np.array([1.0, 0.5, 0.8])
-SOLID = {"lam": 0.3, "mu": 0.8, "alpha": 0.7, "D": D}
+MODULI = {"lam": 0.3, "mu": 0.8}
+SOLID = MODULI | {"alpha": 0.7, "D": D}
+GRADED = SOLID | {name: one * np.linspace(1, 2, 121) for name, one in MODULI.items()}
 EQUAL = {"λ = μ": SOLID | {"lam": 0.8}}
 SOLIDS = EQUAL | {
     "λ = α = 0": SOLID | {"lam": 0.0, "alpha": 0.0},
@@ -29,6 +30,7 @@ HEAT = {"alpha": 0.0, "D": D[:2], "kappa": 1.3}
 BOTH = EQUAL["λ = μ"] | {"coupling": 0.4} | {f"conductor_{name}": HEAT[name] for name in HEAT}
 solid = lambda numbers, horizon=2.0: wp.LPSMaterial(**numbers, horizon=horizon, certified_on=(1.0,))
 of_torn = lambda numbers: solid(numbers, 3.0).on(operator("LPS, broken bonds").points)
+of_uneven = lambda n: solid(n | MODULI).on(lattice(3, 2.0), lam=n["lam"], mu=n["mu"])
 of_cubic = lambda n: replace(LAWS["third order, energy"].material(), **n).on(lattice(2, 3.0))
 
 
@@ -46,6 +48,7 @@ def of_coupled(numbers):
 KINDS = {
     "LPS": (lambda numbers: solid(numbers).on(lattice(3, 2.0)), SOLIDS),
     "LPS, broken bonds": (of_torn, EQUAL),
+    "LPS, fields": (of_uneven, {"graded": GRADED}),
     "conductor": (of_conductor, {"α = 0": HEAT}),
     "coupled": (of_coupled, {"λ = μ": BOTH}),
     "crystal, third order": (of_cubic, {"none": {"t3": 0.0, "tq2": 0.0, "q3": 0.0}}),
@@ -117,19 +120,6 @@ def test_cracked_bodies_have_the_gradient_of_differences(case):
         fields, options = given(body)
         how = options | {"steps": 4, "every": 2}
         check(lambda of, op=body, f=fields, how=how: loss(op, f, how, of), numbers)
-
-
-def test_a_number_that_two_share_is_both():
-    """λ and μ as one tensor have the sum of both derivatives."""
-    op = KINDS["LPS"][0](SOLIDS["λ = μ"])
-    u = tensor(op)
-    mu, *pair = (double(0.8).requires_grad_() for _ in range(3))
-    values = [
-        seeded(solve(op, op.points, None, u, parameters=of))
-        for of in ({"lam": mu, "mu": mu}, dict(zip(("lam", "mu"), pair)))
-    ]
-    (both,) = grad(values[0], mu)
-    torch.testing.assert_close(both, sum(grad(values[1], pair)))
 
 
 @parametrize("name", [name for name in OPERATORS if name not in KINKED and "scattered" not in name])

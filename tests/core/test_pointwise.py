@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support import in_plane_and_space, near, parametrize
+from tests.support import in_plane_and_space, parametrize
 from tests.support.materials import saint_venant
 from tests.support.problems import lattice, normal
 from warp_peri.core.pointwise import Pointwise
@@ -50,16 +50,6 @@ def test_force_is_the_gradient_of_the_energy_and_products_are_those_of_the_tange
     check_product(op, u)
     if not linear:  # whose energy is its stencil's
         check_energy(op, u)
-
-
-@in_plane_and_space
-def test_a_cubic_density_has_the_slopes_of_its_derivatives_at_rest(d):
-    linear = {"stencil": Stencil(0.5, half_ball(1.0, d), np.tile(np.eye(d), (d, 1, 1)))}
-    of, at_rest = (operator(d, cubic=rest, **linear) for rest in (False, True))
-    u, v = 0.05 * normal((2, *of.points.x.shape), 2)
-    w = v[of.points.interior]
-    for one, other in zip(*([op(u), op.jvp(u, v), op.vjp(u, w)] for op in (of, at_rest))):
-        near(other, one, 1e-14)
 
 
 def test_one_thread_is_given_back_by_the_last_of_four_and_after_an_error(threads):

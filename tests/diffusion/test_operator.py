@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import torch
 from numpy.linalg import eigvalsh, norm
 from numpy.random import default_rng
 
@@ -89,16 +88,6 @@ def test_a_kernel_that_changes_sign_is_taken_where_diffusion_does_not_grow(latti
         for call in (solve, lambda *of: simulate(*of, step=0.1, steps=3)):
             with refused("L \\+ Lᵗ has eigenvalues below zero"):
                 call(operator, problem)
-
-
-@parametrize("kind", [list, torch.tensor, lambda k: k.astype(">f8")[::-1].copy()[::-1]])
-def test_a_conductivity_is_of_any_kind_of_array(kind):
-    points, law = square(4, 4.0), DiffusionMaterial(1.0, 1.0)
-    kappa = default_rng(0).uniform(1, 2, len(points.x))
-    u = Dirichlet(points, None, points.x[:, 0] ** 2)
-    alpha = {"alpha": torch.tensor(0.5, requires_grad=True)}
-    one, other = (solve(law, u, kappa=k, parameters=alpha).u for k in (kappa, kind(kappa)))
-    assert torch.equal(one, other)
 
 
 def test_steps_of_a_coupled_solid_come_to_its_steady_state():

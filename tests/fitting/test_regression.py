@@ -64,6 +64,10 @@ def tables(classes, alpha, D):
 def test_a_point_has_its_stiffnesses_and_slopes_and_leads_back_to_its_solid(lattices, degree):
     D = default_rng(0).uniform(0.3, 1, degree + 1)
     law, theta = law_of(lattices, D)
+    lengths = 6 if lattices is ONE else 14
+    assert law.kernel.free_alpha == (degree + 1 < lengths)
+    assert len(theta) - 1 - law.kernel.free_alpha == law.kernel.rank == min(degree + 1, lengths)
+    assert not BernsteinKernel(lattices, 1.0, degree, fixed=True).free_alpha
     found, mu = law.stiffnesses(theta)
     assert (mu, theta[0]) == approx((0.7, (0.2 - 0.7) / 0.7))
     solid = back(law, theta)
@@ -87,19 +91,6 @@ def test_a_point_has_its_stiffnesses_and_slopes_and_leads_back_to_its_solid(latt
 
     expected, at = difference(values, theta, 1e-3).T, law(theta)
     near(np.vstack([*at.slopes, at.M, at.by]), expected, 1e-7)
-
-
-@parametrize(
-    ("lattices", "degree", "free"),
-    [(ONE, 4, True), (ONE, 5, False), (ONE, 8, False), (TWO, 4, True)],
-)
-def test_the_exponent_is_free_where_coefficients_do_not_reach_every_length(lattices, degree, free):
-    kernel = BernsteinKernel(lattices, 1.0, degree)
-    assert kernel.free_alpha == free
-    given = LPSFound(LPSParameters(0.2, 0.7, 1.4, np.ones(degree + 1)))
-    assert len(kernel.start(given)) == kernel.rank + free
-    assert kernel.rank == min(degree + 1, 6) if len(lattices) == 1 else degree + 1
-    assert not BernsteinKernel(lattices, 1.0, degree, fixed=True).free_alpha
 
 
 def test_coefficients_that_no_bond_sees_are_smooth():

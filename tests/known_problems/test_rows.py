@@ -16,7 +16,7 @@ SCALED = (
     "patch test, square lattice: sheet energy",
     "smooth field: crystal",
     "smooth field: third order",
-    "patch test, body with free edges: LPS",
+    "NAFEMS LE1, elliptic membrane: crystal",
     "NAFEMS LE1, elliptic membrane: LPS",
     "Cook's membrane: bond-based",
     "slanted crack, angle of its kink: LPS",

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.linalg import eigvalsh, norm, svd
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.spatial.transform import Rotation
 
 from tests.support import approx, filterwarnings, near, parametrize, problems, reference
-from tests.support.clouds import cloud, cube, periodic_cloud, plain
+from tests.support.clouds import cloud, periodic_cloud, plain
 from tests.support.problems import ell, kernel, lattice, manufactured, normal, periodic, rotation
 from tests.support.solving import solve
 from tests.support.told import each_refused, refused, warned
@@ -78,21 +77,6 @@ def test_the_error_names_a_horizon_that_fits_or_counts_the_nodes_without_a_colla
     families_of(Points(points.x[corner], points.interior[corner], 1.0), 2.0)  # no family's member
     with refused(r"1 of 25 .* 2 Å; no horizon of two spacings or more fits.* Free edges and holes"):
         families_of(Points(points.x[side], points.interior[side], 1.0), 2.0)
-
-
-def test_a_turned_cube_has_the_families_of_the_straight_one():
-    points = cube(2, 2.0)
-    turn = Rotation.from_euler("xyz", [25, -40, 65], degrees=True).as_matrix()
-    turned = Points(points.x @ turn.T + [7.0, 3.0, 1.0], points.interior, 1.0)
-    assert_allclose(np.abs(turned.lattice.axes.T @ turn).max(0), 1)
-    here, there = families_of(points, 2.0), families_of(turned, 2.0)
-    assert here.weight == approx(there.weight, rel=1e-14)
-    i = there.rows[0]
-    ends = there.neighbour[there.row[i] : there.row[i + 1]]
-    assert_allclose(turned.x[ends] - turned.x[i], there.pattern, atol=1e-12)
-    with refused("complete families out to twice the horizon.*2.49 Å fits"):
-        families_of(points, 3.0)
-    assert (families_of(Points.sheet((5, 6, 7), 1.0), 2.0).neighbour >= 0).all()
 
 
 def test_neighbours_are_all_that_are_near_and_bonds_know_their_way_back():
