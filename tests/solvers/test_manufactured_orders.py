@@ -7,11 +7,12 @@ from numpy.linalg import norm
 
 from examples.reproduce.slides import curl_and_pressure
 from tests.support import filterwarnings, near, parametrize, sup
-from tests.support.clouds import cloud, cube, plain, solid
+from tests.support.clouds import cloud, cube, field, load, plain, solid
 from tests.support.problems import MU, fitted_order, lattice, noise, normal
 from tests.support.solving import solve
 from warp_peri import CG, Direct, Periodic, Points
 from warp_peri import solve as at_rest
+from warp_peri.certificates import check_solvability
 
 pytestmark = filterwarnings("ignore:spacing. the model is certified")
 LENGTH = 2.0
@@ -44,6 +45,29 @@ def orders(make, ratio, stiffer):
 def test_second_order_however_incompressible(make, stiffer, ratio):
     """Where λ = μ of bonds alone."""
     assert min(orders(make, ratio, stiffer)) >= (1.9 if make is ordered else 1.8)
+
+
+def test_perturbed_points_lose_order_where_the_material_is_nearly_incompressible():
+    """Φ and Ψ are no transposes there: at λ = 10⁴ μ their mismatch outweighs μΓ."""
+    assert max(orders(scattered, 3.0, 1e4)) < 1
+    points = scattered(8, 3.0 * LENGTH / 8)
+    assert check_solvability(plain(3.0 * LENGTH / 8, 1e4 * MU), points).symmetric_min < 0
+    assert check_solvability(plain(3.0 * LENGTH / 8, 100 * MU), points).symmetric_min > 0
+
+
+def error(number, lam, mu):
+    """Root mean square error on number³ unknown nodes, relative to the field."""
+    h = LENGTH / number
+    points = cube(number, 2 * h, h, centred=True)
+    exact = field(points.x)
+    u = solve(solid(2 * h, lam, mu), points, load(points.x, lam, mu), exact, allow_uncertified=True)
+    return np.sqrt(((u - exact)[points.interior] ** 2).mean() / (exact**2).mean())
+
+
+@parametrize("lam", [0.3, 3.0])
+def test_the_solution_tends_to_that_of_elasticity_with_second_order(lam):
+    numbers = np.array([3, 4, 6])
+    assert fitted_order(LENGTH / numbers, [error(number, lam, 0.8) for number in numbers]) >= 2
 
 
 def test_iteration_finds_what_a_factorisation_does_in_space():

@@ -1,4 +1,4 @@
-"""Scattered points and nodes in space."""
+"""Scattered points, nodes in space, and displacement of local elasticity with its load."""
 
 from dataclasses import replace
 from functools import partial
@@ -33,9 +33,10 @@ def larger(points, length, **told):
     return replace(points, x=length * points.x, spacing=length * points.spacing, **told)
 
 
-def cube(number, horizon, spacing=1.0):
+def cube(number, horizon, spacing=1.0, centred=False):
     """number³ interior nodes of a cubic lattice, and the 2δ collar they need."""
-    return lattice(np.ones(3 * (number,), bool), horizon, spacing)
+    inside = np.ones(3 * (number,), bool)
+    return lattice(inside, horizon, spacing, origin=3 * (spacing * centred / 2,))
 
 
 def plain(horizon, lam=0.3, mu=0.8, **law):
@@ -44,3 +45,20 @@ def plain(horizon, lam=0.3, mu=0.8, **law):
 
 
 solid = partial(plain, dimension=3)
+
+
+def field(x):
+    """A smooth displacement in space with divergence and rotation."""
+    a, b, c = x.T
+    return np.c_[np.sin(a) * np.cos(b), np.cos(b) * np.sin(c), np.sin(a) * np.cos(c)]
+
+
+def load(x, lam, mu):
+    """−[μ∇²u + (λ+μ)∇(∇·u)] of it."""
+    a, b, c = x.T
+    s, t = np.sin, np.cos
+    # ∇·u = cos a cos b − sin b sin c − sin a sin c
+    gradient = np.c_[
+        -s(a) * t(b) - t(a) * s(c), -t(a) * s(b) - t(b) * s(c), -s(b) * t(c) - s(a) * t(c)
+    ]
+    return 2 * mu * field(x) - (lam + mu) * gradient
