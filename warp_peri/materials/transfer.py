@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import suppress
 from dataclasses import replace
 
@@ -20,7 +21,7 @@ from warp_peri.materials import lps_law
 from warp_peri.materials.certificate import with_proof
 from warp_peri.materials.lps import LPSMaterial, LPSParameters
 from warp_peri.materials.lps_law import GaussNewton, LPSFound, optimum, product_basis
-from warp_peri.points.arguments import ArrayMap, Pair, Positive, search_length, symbols, typed
+from warp_peri.points.arguments import LENGTHS, ArrayMap, Pair, Positive, Units, symbols, typed
 from warp_peri.points.families import AT_EDGES, bond_classes, carried_horizon
 from warp_peri.points.points import PointsLike, unit_vectors
 
@@ -32,6 +33,8 @@ LONG_WAVES, LONGEST, LONG_WEIGHT = 30, 0.02, 4.0
 """Long waves among the rows, their |k| h, and what they weigh together."""
 ZONE_INTERVALS, ZONE_WEIGHT = {2: 12, 3: 10}, 0.1
 """Of a grid on the rest of the zone."""
+USUAL_HORIZON = 16.0
+"""A horizon [Å] that the numbers of searches suit."""
 
 
 def wave_rows(
@@ -311,3 +314,12 @@ def model_at(
         _said.add(once)
         warn(f"transferred {found.provenance['transfer']['statement']}")
     return found
+
+
+def search_length(units: Units, horizon: float) -> float:
+    """Unit of length that a search works in, in that of `units`, for a horizon in it. Starts,
+    steps, bounds and tolerances of a search are numbers. It works in Å whatever the data are in, so
+    that it finds the same in any units; of horizons of another size than usual in powers of 2⁶ of
+    it, to the bits of these."""
+    known = LENGTHS.get(units[0], 1.0)
+    return math.ldexp(1.0, 6 * round(math.log2(horizon * known / USUAL_HORIZON) / 6)) / known

@@ -43,13 +43,10 @@ def as_array(name: str, value: Any) -> np.ma.MaskedArray[Any, Any]:
 
 
 def holds_flags(value: Any) -> bool:
-    """Whether a list, or a list in it, has flags."""
-    if not isinstance(value, (list, tuple)):
-        return False
-    kinds = {*map(type, value)}
-    return bool(
-        kinds & {bool, np.bool_} or (kinds & {list, tuple} and any(map(holds_flags, value)))
-    )
+    """Whether a value is a flag, or a list that has some, or a list of such ones."""
+    if isinstance(value, (list, tuple)):
+        return any(map(holds_flags, value))
+    return isinstance(value, (bool, np.bool_))
 
 
 def plain(name: str, value: Any, kind: Any = float, kinds: str = "fiu") -> ndarray:
@@ -463,8 +460,6 @@ SYMBOLS = {"angstrom": "Å", "um": "µm", "eV/angstrom^3": "eV/Å³"}
 SYMBOLS |= {"sigma": "σ", "epsilon/sigma^3": "ε/σ³"}
 ATOMIC = ("TPa", "eV/angstrom^3", "bar")
 """Units of stress in which codes of atoms compute; their moduli are printed in GPa."""
-USUAL_HORIZON = 16.0
-"""A horizon [Å] that the numbers of searches suit."""
 SYSTEMS: dict[str, Units] = {
     "ase": ("angstrom", "eV/angstrom^3"),
     "metal": ("angstrom", "bar"),
@@ -541,12 +536,3 @@ def check_same(model: Units, points: Units) -> None:
             f"units: the model is in {' and '.join(model)}, the points are in "
             f"{' and '.join(points)}; model.in_units(({theirs})) converts"
         )
-
-
-def search_length(units: Units, horizon: float) -> float:
-    """Unit of length that a search works in, in that of `units`, for a horizon in it. Starts,
-    steps, bounds and tolerances of a search are numbers. It works in Å whatever the data are in, so
-    that it finds the same in any units; of horizons of another size than usual in powers of 2⁶ of
-    it, to the bits of these."""
-    known = LENGTHS.get(units[0], 1.0)
-    return math.ldexp(1.0, 6 * round(math.log2(horizon * known / USUAL_HORIZON) / 6)) / known
