@@ -36,7 +36,7 @@ from warp_peri.fitting.regression import (
 from warp_peri.fitting.result import Fit, LossSelection, Stage, check_noise
 from warp_peri.materials.crystal_fit import POOR
 from warp_peri.materials.influence import shapes_of
-from warp_peri.materials.lps import SPACING_TOLERANCE, LPSMaterial, LPSParameters, moduli
+from warp_peri.materials.lps import LPSMaterial, LPSParameters, moduli
 from warp_peri.materials.lps_force import Bonds
 from warp_peri.materials.lps_law import (
     HEADROOM,
@@ -57,10 +57,10 @@ from warp_peri.materials.lps_law import (
     squares,
 )
 from warp_peri.materials.lps_stages import SMALLEST_MODULUS, fit_output_error, in_torch, two_stages
-from warp_peri.materials.transfer import transfer_horizons
+from warp_peri.materials.transfer import check_carried
 from warp_peri.points.arguments import Positive, symbols, typed
 from warp_peri.points.dataset import Dataset, largest_wave_number, sets_of
-from warp_peri.points.families import carried_horizon, families_of, largest_strain
+from warp_peri.points.families import largest_strain
 from warp_peri.points.points import WAVE_VECTOR, Samples, check_lattice
 from warp_peri.solvers.systems import definite_factors
 
@@ -143,24 +143,19 @@ class LPS:
 
     def check_samples(self, samples: Samples, spacing: float | None = None) -> None:
         """Raise InputError for samples to learn from that `learn` refuses, and for nodes that a
-        material learned at a `spacing` refuses: elsewhere it has a transfer's own horizon."""
-        self.checked(d := samples.dimension)
+        material learned at a `spacing` refuses."""
+        self.checked(samples.dimension)
         if spacing is None:
             sample_weights([samples], normalise=self.normalise)
-        elif d == 2 and abs(samples.spacing / spacing - 1) > SPACING_TOLERANCE:
-            unit, largest = symbols(samples.units)[0], carried_horizon(samples.points)
-            transfer_horizons(self.horizon, samples.spacing, largest, unit)
-            return
-        families_of(samples.points, self.horizon)
+        check_carried(self.horizon, samples.points, spacing)
 
     def checked(self, dimension: int) -> None:
         """Raise InputError for settings that contradict one another or the dimension."""
         kernel, printed = self.kernel, isinstance(self.method, TwoStage)
         if printed and self.loss in ("corrected", "output"):
             raise InputError(f"loss: {self.loss!r} is not for the two-stage method")
-        if dimension == 3 and (
-            printed or self.conditions.kind != "direct" or self.loss == "output"
-        ):
+        apart = printed or self.conditions.kind != "direct" or self.loss == "output"
+        if dimension == 3 and apart:
             raise InputError(
                 'samples: in space expected "direct" conditions, no TwoStage, and '
                 "another loss than displacement"

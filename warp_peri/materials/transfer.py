@@ -19,11 +19,11 @@ from warp_peri.errors import InputError, called, warn
 from warp_peri.fitting.regression import LatticeRows, compressed, norms
 from warp_peri.materials import lps_law
 from warp_peri.materials.certificate import with_proof
-from warp_peri.materials.lps import LPSMaterial, LPSParameters
+from warp_peri.materials.lps import SPACING_TOLERANCE, LPSMaterial, LPSParameters
 from warp_peri.materials.lps_law import GaussNewton, LPSFound, optimum, product_basis
 from warp_peri.points.arguments import LENGTHS, ArrayMap, Pair, Positive, Units, symbols, typed
-from warp_peri.points.families import AT_EDGES, bond_classes, carried_horizon
-from warp_peri.points.points import PointsLike, unit_vectors
+from warp_peri.points.families import AT_EDGES, bond_classes, carried_horizon, families_of
+from warp_peri.points.points import Points, PointsLike, unit_vectors
 
 WaveSymbol = ArrayMap
 """k [K, d] along the nodes' axes to D(k) [K, d, d] [stress/length²]."""
@@ -145,7 +145,7 @@ def _transferred(model: LPSMaterial, spacing: float, largest_horizon: float | No
     if not model.certified_on:
         what = "one that is certified on a lattice, which others are fitted to"
         raise InputError(f"model: expected {what}; this one is certified on none")
-    horizons = transfer_horizons(model.horizon, spacing, largest_horizon, unit)
+    horizons = _horizons(model.horizon, spacing, largest_horizon, unit)
     home = min(model.certified_on, key=lambda h: abs(np.log(h / spacing)))
     largest = model.largest_wave_number or SHARE * np.pi / min(model.certified_on)
     band = min(largest, SHARE * np.pi / home, SHARE * np.pi / spacing)
@@ -163,7 +163,18 @@ def _transferred(model: LPSMaterial, spacing: float, largest_horizon: float | No
     return _recorded(model, home, largest, found[min(found)], spacing, band)
 
 
-def transfer_horizons(own: float, spacing: float, largest: float | None, unit: str) -> list[float]:
+def check_carried(horizon: float, points: Points, spacing: float | None) -> None:
+    """Raise InputError for nodes that a material of this horizon [Å] refuses, learned at a spacing
+    [Å], on another than which it is transferred; None: for those it is learned on."""
+    own = spacing is None or abs(points.spacing / spacing - 1) <= SPACING_TOLERANCE
+    if own or points.dimension == 3:
+        families_of(points, horizon)
+    else:
+        unit = symbols(points.units)[0]
+        _horizons(horizon, points.spacing, carried_horizon(points), unit)
+
+
+def _horizons(own: float, spacing: float, largest: float | None, unit: str) -> list[float]:
     """Horizons [Å] that a material of an `own` one may get on a lattice: its bond lengths from two
     spacings on, each adds one class of bonds. InputError for too fine a lattice, or none."""
     if spacing * FINEST < own * (1 - 1e-9):
