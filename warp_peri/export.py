@@ -14,10 +14,10 @@ from warp_peri.core.stencil import numbers_at
 from warp_peri.errors import Arrays, InputError, StrPath
 from warp_peri.files.atomic import meshio_of, write_vtu
 from warp_peri.materials.lps import LPSMaterial
-from warp_peri.materials.lps_operator import node_fields
+from warp_peri.materials.lps_operator import LPSOperator, node_fields
 from warp_peri.points.arguments import checked, offered, typed
 from warp_peri.points.points import PointsLike, Samples
-from warp_peri.protocols import MATERIAL
+from warp_peri.protocols import MATERIAL, OperatorBase
 
 if TYPE_CHECKING:
     from warp_peri.fe_coupling.body import BodySolution
@@ -40,12 +40,13 @@ def write_vtk(folder: StrPath, model: Any, points: Samples, u: ndarray) -> list[
     hexahedron, other points stand alone. On all nodes displacement [Å], its error against the set's
     own u [Å], body_force (a density) [TPa/Å] where it is known, and interior (1 or 0). On interior
     nodes, NaN elsewhere: stress [TPa] and strain in ParaView's order XX, YY, ZZ, XY, YZ, XZ, of a
-    plane with zeros out of it, dilatation, energy density [TPa]. Those are of an LPS. Of other laws
-    the stress, and with a gradient of their own (crystals) strain and dilatation.
+    plane with zeros out of it, dilatation, energy density [TPa]. Those are of an LPS whose families
+    are whole. Of other laws the stress, where there is one, and with a gradient of their own
+    (crystals) strain and dilatation. Of cracked bodies and broken bonds there are none of these.
 
     Args:
         folder: for the files; it is made if it is not there.
-        model: a material.
+        model: a material, or its operator on these points.
         points: the set, with u to compare, and b where it is known.
         u: displacement [Å], shape [S, N, d].
 
@@ -105,15 +106,21 @@ def _samples(model: Any, points: Samples, u: ndarray) -> list[Arrays]:
 
 
 def _inside(model: Any, points: Samples, u: ndarray) -> Arrays:
-    """Fields at interior nodes, [S, I, …]: of an LPS, transferred unless certified nowhere, all."""
-    if isinstance(linear := getattr(model, "linear", None), LPSMaterial):
-        if linear.certified_on and points.spacing > 0:
-            linear = linear.on(points.points).model
-        fields = vars(node_fields(linear, points, u))
+    """Fields at interior nodes, [S, I, …]; all of an LPS, transferred unless certified nowhere."""
+    operator, nodes = model, points.points
+    linear = None if isinstance(model, OperatorBase) else getattr(model, "linear", None)
+    if isinstance(linear, LPSMaterial):
+        sure = linear.certified_on and nodes.spacing > 0
+        operator = linear.on(nodes) if sure else LPSOperator(linear, nodes)
+    elif hasattr(model, "on"):
+        operator = offered(model, "on", "write_vtk", MATERIAL)(nodes)
+    found, stress_of = Arrays(), offered(operator, "stress", "write_vtk", MATERIAL)
+    if isinstance(operator, LPSOperator):
+        if nodes.outside is not None:
+            return found
+        fields = vars(node_fields(operator.model, points, u))
         return fields | {name: _tensor(fields[name]) for name in ("stress", "strain")}
-    operator = offered(model, "on", "write_vtk", MATERIAL)(points.points)
-    found, stress = {}, operator.stress(u)
-    if stress is not None:
+    if (stress := stress_of(u)) is not None:
         found["stress"] = _tensor(stress)
     if hasattr(operator, "gradient"):
         H = operator.gradient(u)

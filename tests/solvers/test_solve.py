@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import meshio
 import numpy as np
 import torch
 from numpy.linalg import eigvalsh
@@ -13,7 +14,7 @@ from tests.support import approx, each_refused, filterwarnings, parametrize, ref
 from tests.support.clouds import plain
 from tests.support.problems import ell, kernel, lattice, manufactured, noise, on_interior
 from tests.support.solving import solve
-from warp_peri import Dirichlet, LPSMaterial, Periodic, Points, evaluate
+from warp_peri import Cracked, Dirichlet, LPSMaterial, Periodic, Points, evaluate
 from warp_peri import solve as at_rest
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.solvers.linear import DIRECT
@@ -82,7 +83,9 @@ def test_a_solution_goes_on_as_samples_and_as_fields(tmp_path):
     assert_array_equal(samples.u[0], solution.u)
     assert_array_equal(samples.loads[0], load)
     assert evaluate(material, samples)["E_res"] < 1e-7
-    solution.to_vtk(tmp_path / "fields")
-    assert [path.name for path in (tmp_path / "fields").iterdir()] == ["sample_0000.vtu"]
+    torn = at_rest(material, Cracked(points, u=points.x, cracks=[[(-1, 0.3), (1, 0.3)]]))
+    for one, fields in ((solution, 8), (torn, 4)):  # which has no stress
+        one.to_vtk(tmp_path / f"{fields}")
+        assert len(meshio.read(tmp_path / f"{fields}/sample_0000.vtu").point_data) == fields
     limits = {"nu: exp": 1.0, "nu: expected": -1.0, "nu: expected −1 < ν < 0.5": (0.5, 3)}
     each_refused(made, limits)

@@ -159,10 +159,10 @@ def run_predict(given: Namespace) -> Said:
 def run_export(given: Namespace) -> Said:
     """Write the solved fields of a set for ParaView."""
     model, _, problem = problem_of(given)
-    u = warp_peri.solve(model, problem, **chosen(given, *OF_SOLVES)).u
+    found = warp_peri.solve(model, problem, **chosen(given, *OF_SOLVES))
     with writing(given) as begin:
         begin()
-        paths = warp_peri.export.write_vtk(given.out, model, problem.points, u)
+        paths = warp_peri.export.write_vtk(given.out, found.operator, problem.points, found.u)
     result = {"files": [*map(str, paths)]}
     return result, lines_of(result)
 

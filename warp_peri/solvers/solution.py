@@ -171,7 +171,8 @@ class Solution(Shown):
         return np.asarray(stress)
 
     def energy(self) -> ndarray:
-        """Elastic energy, as the operator's `energy`."""
+        """Potential of the internal forces, as the operator's `energy`: of most laws up to what the
+        collar alone has, so that it may be below zero, and differs with other collars."""
         energy = None if self.points is None else self.operator.energy(self._values)
         if energy is None:
             raise InputError("energy: this model has none")
@@ -193,12 +194,13 @@ class Solution(Shown):
 
     def to_vtk(self, path: StrPath) -> None:
         """Write the fields for ParaView: a folder with a file a sample; of a body one .vtu file.
-        InputError as export.write_vtk, export.write_body and `to_samples`."""
+        Fields that the operator has not, as the stress of a cracked body, are left out. InputError
+        as export.write_vtk, export.write_body and `to_samples`."""
         if self.points is None:
             warp_peri.export.write_body(path, self.details)
         else:
             samples = self.to_samples()
-            warp_peri.export.write_vtk(path, self.operator.model, samples, samples.u)
+            warp_peri.export.write_vtk(path, self.operator, samples, samples.u)
 
     def plot(self, sample: int = 0, *, ax: Axes | None = None) -> Axes:
         """Plot the size of the displacement, or φ, of a sample by node colours (3D: a slice)."""
