@@ -203,7 +203,8 @@ class DiffusionOperator(FlowOperator):
         return np.asarray(torch.autograd.grad(strengths, numbers[name], work)[0])
 
     def energy(self, u: ndarray) -> ndarray | None:
-        """Energy h^d (½ φ_I·L φ_I + φ_I·L φ_C), shape [...]; None on scattered points."""
+        """Energy h^d (½ φ_I·L φ_I + φ_I·L φ_C), shape [...], without what the collar alone has;
+        None on scattered points."""
         return None if self.points.spacing == 0 else self.quadratic(u)
 
     def storage(self) -> sp.csr_array:

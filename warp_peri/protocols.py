@@ -67,7 +67,8 @@ class Operator(Protocol):
         """Transposed derivative at u times w [..., I, d], on all nodes [..., N, d]."""
 
     def energy(self, u: ndarray) -> ndarray | None:
-        """Elastic energy, with ∂(energy)/∂u_i = h^d op(u)_i; None for a law without."""
+        """Potential, with ∂(energy)/∂u_i = h^d op(u)_i on the interior, up to any part of the
+        collar alone; None for a law without."""
 
     def stress(self, u: ndarray) -> ndarray | None:
         """Stress at the interior nodes, shape [..., I, d, d]; None where a law has none."""
@@ -165,7 +166,7 @@ class OperatorBase(Remade):
         return np.compress(self.points.interior, load, axis=-len(self.shape))
 
     def energy(self, u: Any) -> Any:
-        """Elastic energy, [...], as Operator's; None where there is none, as here."""
+        """Potential, [...], as Operator's; None where there is none, as here."""
 
     def stress(self, u: Any) -> Any:
         """Stress at the interior nodes, [..., I, d, d]; None where there is none, as here."""
@@ -208,7 +209,8 @@ class OperatorBase(Remade):
         return values
 
     def quadratic(self, u: Any) -> ndarray:
-        """Energy h^d (½ u_I·L u_I + u_I·L u_C) of a linear force on a lattice, shape [...]."""
+        """Energy h^d (½ u_I·L u_I + u_I·L u_C) of a linear force on a lattice, shape [...], without
+        what the collar alone has."""
         u, held, of = self.as_fields(u), self.held, self.points
         axes = tuple(range(-len(self.shape), 0))
         own, collar = (self.force(np.where(one, u, 0.0)) for one in (~held, held))

@@ -226,7 +226,8 @@ class LPSOperator(OperatorBase):
         return self.model.statements.get(self.model.certified_spacing_near(spacing))
 
     def energy(self, u: ndarray) -> ndarray | None:
-        """Energy h^d (½ u_I·L u_I + u_I·L u_C) [stress · length^d], [...], where L is symmetric."""
+        """Energy h^d (½ u_I·L u_I + u_I·L u_C) [stress · length^d], [...], where L is symmetric;
+        without what the collar alone has, it may be below zero."""
         return self.quadratic(u) if self.is_symmetric else None
 
     def stress(self, u: ndarray) -> ndarray | None:
