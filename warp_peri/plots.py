@@ -19,10 +19,10 @@ def influence_function(model: LPSMaterial, *, spacing: float, ax: Axes) -> Axes:
 
     Args:
         model: the model.
-        spacing: of the lattice [Å].
+        spacing: of the lattice [length].
         ax: where to draw.
     """
-    classes = bond_classes(spacing, model.horizon)
+    classes = bond_classes(spacing, model.horizon, dimension=model.dimension)
     r = np.linspace(0.5 * spacing, model.horizon, 1000)
     volume = classes.count @ (model.influence(classes.r) * classes.weight * classes.r**2)
     values = model.influence(classes.r) / volume
@@ -33,7 +33,7 @@ def influence_function(model: LPSMaterial, *, spacing: float, ax: Axes) -> Axes:
     ax.plot(classes.r, values, "o", color="C0", label=label)
     room = 1.5 * np.abs(values).max()
     ax.set(xlim=(0, 1.03 * model.horizon), ylim=(-room, room))
-    ax.set(xlabel=f"bond length r [{unit}]", ylabel=f"K / m  [{unit}⁻⁴]")
+    ax.set(xlabel=f"bond length r [{unit}]", ylabel=f"K / m  [{unit}⁻{'⁴⁵'[model.dimension - 2]}]")
     ax.legend(frameon=False)
     return ax
 

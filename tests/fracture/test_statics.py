@@ -48,6 +48,7 @@ def test_growth_breaks_the_most_stretched_bonds_and_loses_energy():
     problem = Cracked(Points(body.x, ~held, 1.0), u=u, cracks=[[(-3, 0), (3, 0)]])
     growth = simulate(solid(), problem, events=12)
     assert (np.diff(growth["energy"]) < 0).all()
+    assert growth.plot().get_xlabel() == "load"
     assert_array_equal(growth.time, growth["load"])
     assert_allclose(growth.u[held], growth.time[-1] * u[held])
     neighbour = growth.details

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import scipy.linalg
+from matplotlib.pyplot import figure
 from numpy import array, cos, eye, nan, ones, pi, sin
 from numpy.testing import assert_allclose
 
@@ -16,6 +17,7 @@ from warp_peri.influence import InfluenceFunction, gaussian, table
 from warp_peri.materials.lps import bernstein_basis
 from warp_peri.materials.lps_law import ShapeKernel
 from warp_peri.materials.lps_operator import node_fields
+from warp_peri.plots import influence_function
 from warp_peri.points.families import bond_classes
 
 made = lambda function, **parameters: lambda: InfluenceFunction(function, parameters)(LENGTHS)
@@ -23,6 +25,11 @@ bounded = lambda bounds: lambda: InfluenceFunction(gaussian, {"width": 2.0}, bou
 numbers = lambda **change: lambda: plain(HORIZON, **change)
 jagged = lambda r: 1.0 + (np.round(r * 1e3) % 2)
 tabled = lambda *r: lambda: table(r, [1.0, 0.5]).coefficients(LENGTHS, HORIZON)
+
+
+def test_k_over_m_is_drawn_of_its_dimension():
+    ax = influence_function(clouds.solid(2.5), spacing=1.0, ax=figure().add_subplot())
+    assert (len(ax.lines[-1].get_ydata()), ax.get_ylabel()) == (6, "K / m  [Å⁻⁵]")
 
 
 def test_continuum_constants_are_those_of_plane_stress_and_of_space():

@@ -22,7 +22,7 @@ from warp_peri.fracture.bonds import CutOperator, SurfaceCorrection, unit_toughn
 from warp_peri.fracture.materials import BrittleMaterial
 from warp_peri.fracture.statics import by_component, check_no_fail
 from warp_peri.kernels.damage import halves
-from warp_peri.points.arguments import Positive, check_nodes, check_shape, checked, plain
+from warp_peri.points.arguments import REDUCED, Positive, check_nodes, check_shape, checked, plain
 from warp_peri.runtime import floats, launch_slices, zeros
 from warp_peri.solvers.motion import Motion, Recorder
 
@@ -294,7 +294,9 @@ class CrackRun(Recorder):
         """Records so far as a Motion, with the end at the nodes of this process."""
         own, (time, history) = self.nodes.own, self.recorded()
         u, v = (field.numpy()[own].copy() for field in (state.u, state.v))
-        return Motion(time, u, v, history, Broken(self.body.damage(state)[own], self.body, state))
+        end = Broken(self.body.damage(state)[own], self.body, state)
+        unit = "" if self.body.solid.units == REDUCED else "ps"
+        return Motion(time, u, v, history, end, unit)
 
     def advance(self, state: BreakingState) -> BreakingState:
         return step(self.body, state, self.dt)
