@@ -217,7 +217,9 @@ class SoftBody:
         nothing = sum(one.flatten()[:0].sum() for one in law)  # the graph of what was not felt yet
         force, end = torch.stack(forces) + nothing, (field + nothing).reshape(self.held.shape)
         force, end = (force, end) if asked else (force.numpy(), end.numpy())
-        return Motion(load, end, None, {"load": load, "force": force, "broken": broken})
+        return Motion(
+            load, end, None, {"load": load, "force": force, "broken": broken}, axis="load"
+        )
 
     def _settled(
         self, at: ndarray, given: torch.Tensor, damage: list[torch.Tensor], law: Sequence[Any]

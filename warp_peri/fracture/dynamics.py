@@ -295,8 +295,8 @@ class CrackRun(Recorder):
         own, (time, history) = self.nodes.own, self.recorded()
         u, v = (field.numpy()[own].copy() for field in (state.u, state.v))
         end = Broken(self.body.damage(state)[own], self.body, state)
-        unit = "" if self.body.solid.units == REDUCED else "ps"
-        return Motion(time, u, v, history, end, unit)
+        named = self.body.solid.units != REDUCED
+        return Motion(time, u, v, history, end, "time [ps]" if named else "time")
 
     def advance(self, state: BreakingState) -> BreakingState:
         return step(self.body, state, self.dt)

@@ -274,7 +274,7 @@ class Injected:
             pumped = volume * (1 + self.compressibility * pressure) + self.leak * 2 * area
             rows.append((half, pressure, volume, pumped))
         history = dict(zip(("half", "pressure", "volume", "pumped"), np.array(rows).T))
-        return Motion(history["half"], pressure * found[0].u, None, history, found[0])
+        return Motion(history["half"], pressure * found[0].u, None, history, found[0], "half")
 
     def _at(self, material: Any, half: float) -> Solution:
         """Solve for the body at rest under unit pressure at a half length."""

@@ -321,7 +321,7 @@ def grow(
         table[node[lost], bond[lost]] = -1 - far[lost]
     load, energy, broken = np.array(rows).T
     history = {"load": load, "energy": energy, "broken": broken.astype(int)}
-    return Motion(load, end, None, history, table)
+    return Motion(load, end, None, history, table, "load")
 
 
 @typed

@@ -33,7 +33,7 @@ class Motion(Shown):
         v: velocity at the end [length/time], shape [N, d]; None of what has none.
         history: what was written down at these times, by name, first dimension R.
         details: what only this material knows: the state at the end, the body.
-        time_unit: where it is known: "ps" of waves in named units.
+        axis: what `time` is, in plots, with its unit where that is known.
 
     >>> start = wp.Dirichlet(points, None, u[0])
     >>> wp.simulate(model, start, density=2200.0, step=0.005, steps=4).time.shape
@@ -45,7 +45,7 @@ class Motion(Shown):
     v: ndarray | None = None
     history: dict[str, ndarray] = field(default_factory=dict)
     details: Any = None
-    time_unit: str = ""
+    axis: str = "time"
 
     def __getitem__(self, name: str) -> ndarray:
         """A history by its name; InputError lists those there are."""
@@ -76,16 +76,14 @@ class Motion(Shown):
         return float(missing.max() / np.abs(work).max()) if work.any() else 0.0
 
     def plot(self, name: str = "", *, ax: Axes | None = None) -> Axes:
-        """Plot a history over time or the load's factor; the first one where none is named."""
+        """Plot a history over time, or the load; the first one where none is named."""
         import matplotlib.pyplot as plt
 
         name = name or next(iter(self.history), "")
         values = self._recorded(name)
         ax = plt.figure(layout="constrained").add_subplot() if ax is None else ax
         ax.plot(self.time, values.reshape(len(values), -1))
-        slow = (n for n, one in self.history.items() if one is self.time)
-        time = f"time [{self.time_unit}]" if self.time_unit else "time"
-        ax.set(xlabel=next(slow, time), ylabel=name)
+        ax.set(xlabel=self.axis, ylabel=name)
         return ax
 
     def _recorded(self, name: str) -> ndarray:

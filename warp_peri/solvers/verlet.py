@@ -300,4 +300,4 @@ class WaveRun(Recorder):
                     f"strain: the step is stable up to |H| = {proven:.2%}, the motion went to "
                     f"{self.bent:.2%}"
                 )
-        return Motion(time, state.u, self.body.on_all(state.v), history, time_unit="ps")
+        return Motion(time, state.u, self.body.on_all(state.v), history, axis="time [ps]")
