@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from warp_peri.core.record import FieldUnits, Length, Record, Stress
 from warp_peri.core.torch_bridge import own_torch
-from warp_peri.errors import OF_POSITIONS, InputError, Shape, Values, called
+from warp_peri.errors import OF_POSITIONS, InputError, Shape, Values, called, kept
 from warp_peri.fracture.adjoint import bond_force
 from warp_peri.fracture.body import lattice_body
 from warp_peri.fracture.bonds import bond_matrix, bonds_of, dilatations
@@ -65,8 +65,8 @@ class FlowOperator(OperatorBase):
         return lead, fields.reshape(math.prod(lead), -1)
 
     def tangent(self, u: Any) -> sp.csr_array:
-        """Tangent L = `matrix` at any u."""
-        return self.matrix
+        """Tangent L at any u, a copy of `matrix`."""
+        return self.matrix.copy()
 
     def interior_tangent(self, u: Any) -> sp.csc_array:
         """Tangent L between interior nodes, sparse."""
@@ -125,7 +125,7 @@ class DiffusionOperator(FlowOperator):
         given: Any = law.conductivity if kappa is None else kappa
         self._series = self._along_bonds(given) if callable(given) else None
         if self._series is None:
-            given = _conductivities(given, len(self.points.x), "node").copy()
+            given = kept(_conductivities(given, len(self.points.x), "node"))
         self.given = given
         with own_torch():
             strength = self._strengths(**_tensors(self.learnable)).detach().numpy()
@@ -385,7 +385,7 @@ class CoupledOperator(FlowOperator):
 
     def storage(self) -> sp.csr_array:
         """Storage matrix of the rates of u₁, u₂ and φ, sparse [3 I, 3 N]."""
-        return self._storage
+        return self._storage.copy()
 
     @own_torch()
     def storage_slopes(self, names: list[str], rates: ndarray, w: ndarray) -> Values:

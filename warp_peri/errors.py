@@ -209,13 +209,20 @@ class InSpace:
         return int(self.x.shape[1])
 
 
+def kept(value: Any) -> Any:
+    """A read-only copy of an array, or of those in a dict; other values as they are."""
+    if isinstance(value, dict):
+        return {name: kept(one) for name, one in value.items()}
+    if isinstance(value, ndarray):
+        value = value.copy()
+        value.flags.writeable = False
+    return value
+
+
 def hold(frozen: Any, **fields: Any) -> None:
-    """Set fields of a frozen dataclass, arrays as read-only copies, so that proofs stay true."""
+    """Set fields, of a frozen dataclass too, as `kept`, so that proofs stay true."""
     for name, value in fields.items():
-        if isinstance(value, ndarray):
-            value = value.copy()
-            value.flags.writeable = False
-        object.__setattr__(frozen, name, value)
+        object.__setattr__(frozen, name, kept(value))
 
 
 class Held:

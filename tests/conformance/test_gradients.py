@@ -165,6 +165,7 @@ def test_a_copy_keeps_neither_samples_nor_what_was_changed_since():
     op = law.on(points, kappa=kappa)
     u = field(op)
     kappa[:] = 2.0
+    assert not op.learnable["kappa"].flags.writeable
     near(deepcopy(op)(u), op(u), 0)
     points = lattice(4, 3.0)
     samples = wp.Samples(points, np.zeros((100, *points.x.shape)))

@@ -184,6 +184,20 @@ def test_arrays_may_change_after_they_were_given(name):
         one.fill(7)
     given = field(op, 2), field(op, 2, seed=1)
     assert all(map(np.array_equal, answers(op, *given), answers(twin, *given)))
+    for way in "tangent", "interior_tangent", "storage":
+        if read := getattr(op, way, None):
+            made = [read(*given[0][: way != "storage"]).data for _ in range(2)]
+            assert not np.shares_memory(*made)
+
+
+def test_samples_and_influence_functions_keep_copies():
+    points = LAWS["LPS"].points(2)
+    u = np.tile([1.0, 2.0], (1, len(points.x), 1))
+    samples, p = wp.Samples(points, u, u, {"a": u}), u[0, 0]
+    K = wp.influence.InfluenceFunction(lambda r, p: p[0] * r, {"p": p}, {"p": p})
+    table, found = wp.influence.table(p, p), (samples.u, samples.b, samples.arrays["a"])
+    u += 7
+    assert [K(2.0), table(2.0), *map(np.max, (*found, K.ends))] == 6 * [2.0]
 
 
 @parametrize("name", SPREAD)

@@ -21,7 +21,7 @@ from numpy import ndarray
 from numpy.linalg import lstsq, solve
 from numpy.typing import ArrayLike
 
-from warp_peri.errors import InputError, Values, called, hold
+from warp_peri.errors import Held, InputError, Values, called, hold, kept
 from warp_peri.files import atomic
 from warp_peri.materials.lps import LPSMaterial, bernstein_basis
 from warp_peri.points import arguments
@@ -47,7 +47,7 @@ itself, where K changes by less than SEEN of its size; of fourth order, hence ex
 
 @typed
 @dataclass(frozen=True, eq=False)
-class InfluenceFunction:
+class InfluenceFunction(Held):
     """An influence function K(r) of the bond length and parameters; its scale has no effect.
 
     Attributes:
@@ -70,7 +70,7 @@ class InfluenceFunction:
             if array.ndim > 1:
                 raise InputError(f"{name}: expected a number or a list, got {array.shape}")
             values[name] = array if array.ndim else float(array)
-        hold(self, parameters=values)
+        hold(self, parameters=values, bounds=dict(self.bounds))
         arguments.check_parameters(self.function, values)
         for name, ends in self.bounds.items():
             if name not in self.parameters:
@@ -248,7 +248,7 @@ def named(name: str, horizon: Positive) -> InfluenceFunction:
 def table(r: ArrayLike, K: ArrayLike, *, learned: bool = False) -> InfluenceFunction:
     """Piecewise linear influence function through values K [T] at rising distances r [Å], constant
     beyond the ends, where no bond may be; `learned` takes the values as parameters to learn."""
-    knots, given = checked("r", r), checked("K", K)
+    knots, given = kept(checked("r", r)), kept(checked("K", K))
     if knots.ndim != 1 or len(knots) < 2 or knots.shape != given.shape:
         raise InputError(
             f"table: expected r and K of one shape [T], T ≥ 2, got {knots.shape}, {given.shape}"

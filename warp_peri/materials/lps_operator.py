@@ -337,7 +337,7 @@ class LPSOperator(OperatorBase):
 
     def interior_tangent(self, u: Any) -> Any:
         """Sparse matrix of L between interior nodes, [d I, d I]."""
-        return self._problem.stiffness
+        return self._problem.stiffness.copy()
 
     def _refuse_indefinite(self) -> None:
         """Raise InputError where the symmetric part of L_II is not positive definite, on open

@@ -394,7 +394,8 @@ class Samples(Shown):
         b: body force densities [TPa/Å], shape [S, N, d]; None where the load is not known.
         arrays: optional per-sample arrays by name, each with first dimension S.
 
-    Raises InputError naming the first field of wrong shape or with a value that is not finite.
+    Arrays are copied. Raises InputError naming the first field of wrong shape or with a value that
+    is not finite.
 
     >>> samples = wp.Samples(points, u, b)
     >>> len(samples), len(samples[:5]), len(samples[-1])
@@ -409,9 +410,10 @@ class Samples(Shown):
     def __post_init__(self) -> None:
         if is_piece(self.points):
             raise InputError("points: expected Points, got a rank's piece of some")
-        object.__setattr__(self, "u", checked("u", self.u, shape=("S", *self.x.shape)))
+        object.__setattr__(self, "u", checked("u", self.u, shape=("S", *self.x.shape)).copy())
         if self.b is not None:
-            object.__setattr__(self, "b", checked("b", self.b, shape=self.u.shape))
+            object.__setattr__(self, "b", checked("b", self.b, shape=self.u.shape).copy())
+        own = Values()
         for name, value in self.arrays.items():
             if name in FIELDS or not is_name(name):
                 raise InputError(f"arrays: {name!r} cannot be the name of an array")
@@ -423,6 +425,8 @@ class Samples(Shown):
                 type(one) is str or (kind == "S" and one.isascii()) for one in found.flat
             ):
                 raise InputError(f"{name}: expected numbers or text, got {found.dtype}")
+            own[name] = list(value) if isinstance(value, list) else np.array(found.data)
+        object.__setattr__(self, "arrays", own)
 
     def __len__(self) -> int:
         """Number of samples."""

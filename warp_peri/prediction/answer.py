@@ -181,7 +181,7 @@ class Prediction(Shown):
     def of(self, quantity: Callable[[ndarray], Any]) -> QuantityEstimate:
         """Estimate a quantity, a function of nodal displacements [N, d], with its error (Q4).
         warp_peri.prediction has strain and stress."""
-        at = checked("quantity", quantity(self.u))
+        at = checked("quantity", quantity(self.u.copy())).copy()  # it may write, or give its own
         changes = {
             name: checked("quantity", quantity(self._plus(part)), shape=at.shape) - at
             for name, part in self.fields.items()
