@@ -44,6 +44,8 @@ def test_points_on_a_lattice_stay_and_scattered_ones_are_fitted_locally(frame_of
     assert_allclose(samples.u[0], field(samples.x), atol=1e-6)  # quadratic: exact
     noisy = dic_to_lattice([frame_of(BIG, field(BIG) + 0.3 * normal(BIG.shape, 1))])
     assert estimate_noise(noisy)[0] == approx(0.3, rel=0.15)
+    turned = replace(noisy.points, x=noisy.x @ [[0.8, 0.6], [-0.6, 0.8]])
+    assert estimate_noise(replace(noisy, points=turned)) == approx(estimate_noise(noisy))
 
 
 @parametrize("radius", [0.0, 1.5])

@@ -450,9 +450,10 @@ def surface(
 @typed
 def estimate_noise(samples: Samples) -> ndarray:
     """Standard deviation of the displacement noise of every frame [length], shape [S]. From fourth
-    differences, 70 times the variance: subsets that overlap make the estimate too small."""
-    steps = np.rint((samples.x - samples.x.min(axis=0)) / samples.spacing).astype(int)
-    grid = np.full((len(samples), *(steps.max(axis=0) + 1), 2), np.nan)
-    grid[:, steps[:, 0], steps[:, 1]] = samples.u
-    fourth = ([np.diff(one, 4, axis=axis).ravel() for axis in (0, 1)] for one in grid)
+    differences, 70 times the variance: subsets that overlap make the estimate too small. Raises
+    InputError for points off a lattice."""
+    steps, d = samples.lattice.steps, samples.dimension
+    grid = np.full((len(samples), *(steps.max(axis=0) + 1), d), np.nan)
+    grid[:, *steps.T] = samples.u
+    fourth = ([np.diff(one, 4, axis=axis).ravel() for axis in range(d)] for one in grid)
     return np.array([np.nanmedian(np.abs(np.concatenate(d))) / 0.6745 / 70**0.5 for d in fourth])
