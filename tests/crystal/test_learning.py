@@ -18,7 +18,7 @@ from tests.support import approx, filterwarnings, in_plane_and_space, near, sup
 from tests.support.materials import DEEP
 from tests.support.problems import OTHER, kernel, loaded, manufactured, normal
 from tests.support.problems import lattice as plane_lattice
-from tests.support.told import assert_refused, each_refused, refused, warned
+from tests.support.told import all_refused, assert_refused, each_refused, refused, warned
 from warp_peri.atoms.force_constants import NonAnalyticCorrection, Supercell, from_supercell
 from warp_peri.atoms.phonons import from_calculator
 from warp_peri.core.elastic import checked_orientation, point_group, voigt
@@ -145,6 +145,9 @@ def test_a_piezoelectric_crystal_is_refused():
     field = Supercell(cell, box, every, polar=exact).field_of_ions()
     polar = NonAnalyticCorrection(born, 2.0 * eye(3))
     whole = from_supercell(cell, box, spring + field, every, polar=polar)
+    ends = lambda x: polar.at_long_waves(x, x)
+    for way in whole.effective, ends, lambda x: polar.matrix(eye(3), eye(3), x):
+        all_refused(way, "^(k|e|positions): expected", ([[1j, 0, 0]], [[True] * 3], [1.0]))
     assert_refused({
         "piezoelectric": lambda: whole.elastic(CUBES),
         "dielectric: .* symmetric": tuple(

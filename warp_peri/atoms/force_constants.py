@@ -92,6 +92,8 @@ class NonAnalyticCorrection:
         self, k: ndarray, cell: ndarray, positions: ndarray, *, field: bool = True
     ) -> ndarray:
         """Dipole–dipole matrix [eV/Å²], [K, n, 3, n, 3]; without macroscopic `field` smooth."""
+        k, cell = checked("k", k, shape=("K", 3)), checked("cell", cell, shape=(3, 3))
+        positions = checked("positions", positions, shape=(len(self.born), 3))
         least = eigvalsh(self.dielectric)[0]
         furthest = 2 * self.decay * np.sqrt(NEGLECTED / least) + norms(k).max()
         most = np.ceil(furthest * norms(cell) / (2 * np.pi))
@@ -113,6 +115,7 @@ class NonAnalyticCorrection:
 
     def at_long_waves(self, e: ndarray, cell: ndarray) -> ndarray:
         """Macroscopic field's part of D along unit vectors e [K, 3], shape [K, n, 3, n, 3]."""
+        e, cell = checked("e", e, shape=("K", 3)), checked("cell", cell, shape=(3, 3))
         pull = np.einsum("kb,nba->kna", e, self.born)
         screened = np.einsum("ki,ij,kj->k", e, self.dielectric, e)
         factor = 4 * np.pi * COULOMB / abs(det(cell)) / screened
@@ -191,6 +194,7 @@ class ForceConstants:
         """Stiffness matrix D_at(k) [eV/Å²] at k [1/Å], without masses, [K, n m, n m]. m is
         `moving`, by default the property; the mean height of a sheet's cell is held."""
         d, m, n = self.dimension, moving or self.moving, len(self.positions)
+        k = checked("k", k, shape=("K", d))
         phase = np.exp(1j * (k @ self.vectors[:, :d].T))
         D = self._by_atoms(phase, self.values[:, :m, :m]).transpose(2, 0, 3, 1, 4)
         if self.polar is not None:
