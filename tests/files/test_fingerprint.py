@@ -1,9 +1,7 @@
 """What a file beside a run says of the run: every field of points, samples, settings, functions."""
 
 import json
-import multiprocessing
 import os
-import pickle
 import random
 from collections import defaultdict, deque
 from contextlib import suppress
@@ -19,7 +17,6 @@ import torch
 from scipy.interpolate import PchipInterpolator
 from scipy.sparse import eye_array
 from scipy.sparse.linalg import splu
-from scipy.spatial import cKDTree
 
 import warp_peri as wp
 from tests.support.problems import OTHER, kernel, lattice, manufactured, on_interior, within
@@ -65,7 +62,6 @@ def test_where_a_value_stands_and_of_what_kind_it_is_counts():
         [{"most", "largest"}, {"largest", "most"}],
         [torch.ones(4, dtype=torch.float64), torch.ones(4, dtype=float, requires_grad=True), ones],
         [ones[::2], ones[:2], ones[:2].astype(">f8")],
-        [tree := cKDTree(np.eye(3)), pickle.loads(pickle.dumps(tree))],
     ):
         assert len({*map(fingerprint, same)}) == 1
 
@@ -149,7 +145,6 @@ def test_materials_settings_functions_and_objects_count_by_what_they_hold():
         (lambda *, low, high: high - low, lambda *, high, low: low - high),
         *((np.ma.array(x, mask=x > of) for of in (0, 1)),),
         [vars(one := Bounded(x)).update(limit=of) or one for of in (1, 2)],
-        [multiprocessing.Value("d", of) for of in (1, 2)],
         (heir(lambda self: np.min), heir(lambda self: np.max)),
         *((type("Of", (), {"limit": of, "__module__": __name__})() for of in (x, 2 * x)),),
         (Above(0.3).__call__, Above(0.4).__call__),

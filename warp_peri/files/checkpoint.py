@@ -25,7 +25,6 @@ from typing import Any, cast
 import h5py
 import numpy as np
 from numpy import ndarray
-from scipy.spatial import cKDTree
 
 from warp_peri import __version__
 from warp_peri.errors import ALONE, Arrays, InputError, StrPath, Values, agreed, called
@@ -216,12 +215,8 @@ def _unwrapped(part: Any) -> Any:
             return part.numpy(force=True) if hasattr(part, "detach") else part.numpy()
         except (TypeError, NotImplementedError):  # bfloat16, sparse ones, those without values
             return str(part.dtype), part.is_meta or part.to_dense().tolist()
-    if isinstance(part, cKDTree):  # whose bytes are not all set
-        return part.data, part.boxsize, part.leafsize
     if derived(part, *QUIET.split()) or any(part is one for one in OF_ALL):
         return None
-    if derived(part, "multiprocessing") and hasattr(part, "get_obj"):  # that processes share
-        return type(part.get_obj()), bytes(part.get_obj())
     if isinstance(part, np.vectorize):  # which keeps a ufunc once it is called
         return part.pyfunc, part.signature, part.excluded
     if isinstance(part, (np.timedelta64, np.longdouble)):  # more than numbers are told by
