@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from scipy.interpolate import PchipInterpolator
 from scipy.sparse import eye_array
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 import warp_peri as wp
@@ -179,6 +180,8 @@ def test_materials_settings_functions_and_objects_count_by_what_they_hold():
         (of_class(np), of_class(np)),
         (wrapped(0.3), wrapped(0.3)),
         (Noise(1), Noise(1)),
+        (connected_components, connected_components),
+        [type("Of", (), {"limit": 1, "__module__": of})() for of in ("__main__", __name__)],
         (solid, replace(solid, provenance={"s": 3.0}, versions={"numpy": "0"}, errors={"E_u": {}})),
     ):
         assert fingerprint(one) == fingerprint(again)

@@ -40,9 +40,9 @@ COPIED = "__reduce__", "__reduce_ex__", "__getstate__"
 CODE = "names varnames argcount posonlyargcount kwonlyargcount exceptiontable"
 """What code is told by, beside its instructions and the constants they read."""
 PLAIN = "builtins collections decimal fractions functools operator pathlib types warp_peri"
-"""Packages whose objects count with what they hold beside a motion, too."""
-CACHES = "_abc_impl", "_value2member_map_", "_inverted_"
-"""What Python's abstract classes and enumerations keep of their use."""
+"""Packages whose objects count with what they hold in functions that watch a motion, too."""
+ASIDE = "__module__", "_abc_impl", "_value2member_map_", "_inverted_"
+"""Attributes by which Python keeps where something is from, and how it was used."""
 QUIET = "_thread logging threading weakref"
 """Modules of locks, logs and caches, which decide no number."""
 UNORDERED = Mapping, set, frozenset
@@ -115,9 +115,9 @@ def fingerprint(*parts: Any, named: bool = False) -> str:
 
     Arrays count with kind and shape; data classes (points, samples, settings, problems) with all
     their fields; materials with what their file holds; functions with their code and the values
-    that it reads; other objects with their attributes, or those of installed packages by their
-    type alone (`named`); numbers alike whatever type they are of. The version of the library
-    counts, too. What only C knows, as a factorisation, differs.
+    that it reads; other objects with their attributes, or (`named`) those of no class of the user's
+    and not PLAIN by their type alone; numbers alike whatever type they are of. The version of the
+    library counts, too. What only C knows, as a factorisation, differs.
     """
     leaves, holders, todo = dict[int, bytes](), dict[int, Any](), [parts := (__version__, *parts)]
     for part in todo:  # which keeps each, lest another gets its id
@@ -144,8 +144,8 @@ def _spelled(whole: Any, named: bool) -> tuple[bytes, list[Any]]:
         said = repr(int(part))
     elif isinstance(part, (float, complex, np.inexact)):
         number, real = complex(part), complex(part).real
-        whole = int(real) if real.is_integer() and str(real) != "-0.0" else real
-        said = repr(number if number.imag else whole)
+        least = int(real) if real.is_integer() and str(real) != "-0.0" else real
+        said = repr(number if number.imag else least)
     elif isinstance(part, ndarray) and part.dtype != object:
         part = part.astype(part.dtype.newbyteorder("="), copy=False)
         said, data = f"{part.dtype}{part.shape}", part.tobytes()
@@ -172,8 +172,9 @@ def _spelled(whole: Any, named: bool) -> tuple[bytes, list[Any]]:
     elif ismodule(part) or isinstance(part, type):
         home = getattr(part, "__module__", part.__name__)
         said = f"{home} {part.__name__}"
-        if is_users(home):
-            own = {n: v for n, v in vars(part).items() if n not in CACHES}
+        if is_users(home):  # of one name as a script and as a module
+            said = getattr(part, "__qualname__", "")
+            own = {n: v for n, v in vars(part).items() if n not in ASIDE}
             told = {n for n, v in own.items() if n[:2] != "__" or isroutine(v) or callable(v)}
             held = [{n: own[n] for n in told}, getattr(part, "__bases__", ())]
     elif named and not known:
@@ -230,7 +231,7 @@ def _attributes(part: Any) -> Values:
     own, slots = state if isinstance(state, tuple) else (state, None)
     found, kind = {**(own or {}), **(slots or {})}, type(part)
     worked = {n for n in found if isinstance(getattr(kind, n, 0), cached_property)}
-    return {n: found[n] for n in found if n not in {*worked, *CACHES}}
+    return {n: found[n] for n in found if n not in {*worked, *ASIDE}}
 
 
 def _read_by(function: FunctionType) -> Values:
@@ -267,7 +268,7 @@ def _read_by(function: FunctionType) -> Values:
 
 def derived(one: Any, *packages: str) -> bool:
     """Whether an object's class is of one of these packages, or derived from such a one."""
-    return any(base.__module__.split(".")[0] in packages for base in type(one).__mro__[:-1])
+    return any(str(base.__module__).split(".")[0] in packages for base in type(one).__mro__[:-1])
 
 
 @cache
