@@ -319,14 +319,12 @@ class CrackRun(Recorder):
         found = self.record(state)[1]
         for name in self.watch if rows["time"] else ():
             each = plain(f"watch {name}", rows[name])
-            small, same = (
-                SAME * np.nanmax(np.abs(each), initial=0),
-                found[name].shape == each[-1].shape,
-            )
-            if not (same and np.allclose(found[name], each[-1], SAME, small, True)):
+            again, last = found[name], each[-1]
+            small = SAME * np.abs(each[np.isfinite(each)]).max(initial=0)
+            if again.shape != last.shape or not np.allclose(again, last, SAME, small, True):
                 raise InputError(
                     f"watch {name}: expected a function of φ alone, the checkpoint's; at its state "
-                    f"that gave {each[-1]}, this gives {found[name]}"
+                    f"that gave {last}, this gives {again}"
                 )
 
     def nodal(self, state: BreakingState) -> Arrays:
