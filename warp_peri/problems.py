@@ -77,7 +77,7 @@ class Dirichlet:
         operator = placed(material, nodes, **options)
         load = self.b
         if load is None:
-            load = np.zeros(getattr(self.u, "shape", None) or as_array("u", self.u).shape)
+            load = np.zeros((self.u if is_tensor(self.u) else as_array("u", self.u)).shape)
         rest = operator.solve
         if extra or is_tensor(self.b) or is_tensor(self.u):
             rest = getattr(operator, "solve_torch", rest)
@@ -129,8 +129,8 @@ class Periodic:
         operator = placed(material, nodes_of(self.points), **options)
         rest = offered(operator, "solve_periodic", "solve", "a model that solves periodic problems")
         if extra or is_tensor(self.b):
-            zero = 0 * self.b.detach() if is_tensor(self.b) else np.zeros(np.shape(self.b))
-            return operator.solve_torch(self.b, zero, solver, **extra)  # type: ignore[no-any-return]
+            like = self.b.detach() if is_tensor(self.b) else as_array("b", self.b)
+            return operator.solve_torch(self.b, 0 * like, solver, **extra)  # type: ignore[no-any-return]
         load = checked("b", self.b, float, (..., *self.points.x.shape))
         return rest(load, solver)  # type: ignore[no-any-return]
 

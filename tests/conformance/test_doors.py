@@ -480,7 +480,8 @@ def test_arguments_of_another_kind_are_refused_by_name():
                 with refused(f"^{argument}: expected"):
                     check_arguments(call, {argument: value})
             check_arguments(call, {argument: default})
-    assert check_arguments(wp.atoms.read_mat, {"positions": np.int64(2)}) == {"positions": 2.0}
+    for two in 2, np.int64(2):  # and of whole numbers of 32 bits it is no factor
+        assert str(check_arguments(wp.atoms.read_mat, {"positions": two})) == "{'positions': 2.0}"
 
 
 def test_every_function_that_users_call_is_typed_and_calls_go_through_the_door():

@@ -78,6 +78,7 @@ def test_what_does_not_fit_is_refused():
     law, one = solid("energy"), made(solid("energy"), 0.01, 1)
     C, linear, smoothed = cubic_tensor(2), Crystal(REACH), Smoothing(2.0)
     square = fit_dispersion(dispersive(C), 1.0, REACH, symmetry="4mm", tensor=C)
+    unturned = replace(one, points=replace(one.points, axis=None))
     uncertified = replace(law, linear=replace(law.linear, certificate=None))
     assert_refused({
         "isotropic long waves": lambda: replace(law, linear=square),
@@ -89,4 +90,6 @@ def test_what_does_not_fit_is_refused():
         "moduli: expected some":
             lambda: fit(one, ThirdOrder(Crystal(REACH, moduli=None), smoothed)),
         "one set": lambda: fit(2 * [one], ThirdOrder(linear, smoothed)),
+        "axis: expected Points.* orientation is given":
+            lambda: fit(unturned, ThirdOrder(Crystal(REACH, orientation=np.eye(2)), smoothed)),
     })  # fmt: skip

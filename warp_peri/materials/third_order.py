@@ -401,6 +401,8 @@ class ThirdOrder:
             raise InputError("moduli: expected some that are held, beside third-order constants")
         if samples.dimension != 2:
             raise InputError("samples: expected a sheet; in space LPS and Crystal are learned")
+        if self.linear.orientation is not None and samples.axis is None:
+            raise InputError("axis: expected Points(…, axis=degrees) where an orientation is given")
         self.linear.held_moduli(self.linear.turn(samples))
         if spacing is None and not (size := load_sizes(samples)).all():
             raise InputError(f"b: expected loads, got none on sample {size.argmin()}")

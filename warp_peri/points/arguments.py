@@ -291,7 +291,7 @@ def typed_methods(kind: Kind) -> Kind:
 
 
 def check_arguments(call: Callable[..., Any], given: Options) -> Options:
-    """Check arguments against annotations and return them, whole numbers of other types as int;
+    """Check arguments against annotations and return them, numbers of other types as int or float;
     InputError naming the first of another kind.
 
     Kinds are bool, int, float, str, paths, mappings, sequences, classes of this package, literals
@@ -336,7 +336,7 @@ def check_arguments(call: Callable[..., Any], given: Options) -> Options:
             on_points = "Points" in [kind.__name__ for kind in kinds]
             fine = isinstance(value, first) or (on_points and is_piece(value))
             words = "a path" if os.PathLike in more else words.replace("NoneType", "None")
-        if fine and (first is int or (first is float and not isinstance(value, (int, float)))):
+        if fine and (first is int or (first is float and not isinstance(value, float))):
             value = found[name] = first(value)
         same = first in (int, float) and value == default  # arrays have no one answer
         if not fine or (bound and not same and not bound.holds(value)):

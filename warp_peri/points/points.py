@@ -255,7 +255,7 @@ def checked_axis(axis: Any, dimension: int) -> Any:
         if np.abs(turn @ turn.T - np.eye(3)).max() > ROTATION:
             raise InputError(f"axis: expected a rotation [3, 3], got {axis!r:.60}")
         return tuple(map(tuple, turn.tolist()))
-    if is_number(axis) and abs(axis) <= LARGEST:
+    if is_number(axis) and abs(float(axis)) <= LARGEST:
         return float(axis)
     raise InputError(f"axis: expected an angle [degrees], got {axis!r:.60}")
 
