@@ -105,8 +105,7 @@ def iter_dump(path: StrPath) -> Iterator[DumpFrame]:
         raise InputError(f"{path}: no such dump") from None
     except InputError:
         raise
-    # What reads a broken file runs into anything.
-    except Exception as error:
+    except Exception as error:  # what reads a broken file runs into anything
         raise InputError(
             f"{path}: frame {number + 1} cannot be read ({error}); expected {EXPECTED}"
         ) from None

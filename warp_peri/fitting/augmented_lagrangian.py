@@ -21,8 +21,6 @@ from warp_peri.fitting.regression import Linearised, Regression, Settled, felt, 
 if TYPE_CHECKING:
     from warp_peri.materials.lps_law import AugmentedLagrangian, TwoStage
 
-Objective = Callable[[], tuple[torch.Tensor, torch.Tensor]]
-"""What is minimised, and the loss that is part of it."""
 Tick = Callable[[float], None]
 LEARNING_RATE, STAGNATION, WINDOW = 1e-3, 1e-3, 200
 """Of the printed variables; they end where a loss fell by less, relative, over so many epochs."""
@@ -42,7 +40,7 @@ MET, SETTLED, NO_LOSS = 1e-4, 1e-3, 1e-10
 
 def adam(
     leaves: Sequence[torch.Tensor],
-    objective: Objective,
+    objective: Callable[[], tuple[torch.Tensor, torch.Tensor]],
     steps: int,
     tick: Tick,
     *,
@@ -200,5 +198,4 @@ def _frame(now: Linearised, phi: ndarray, psi: float, damping: float) -> ndarray
 def _equal(y: ndarray, now: Linearised) -> ndarray:
     """Nearest y that meets the linearised equalities."""
     width = 1 / felt(norm(now.J, axis=0))
-    met: ndarray = y + width * particular(now.A * width, -now.equal)[0]
-    return met
+    return np.asarray(y + width * particular(now.A * width, -now.equal)[0])

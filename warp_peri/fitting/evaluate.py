@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -155,7 +154,6 @@ class Run:
         said["provenance"] = {
             **getattr(material, "provenance", {}),
             "data": data.name,
-            "sha256": provenance.get("sha256") or hashlib.sha256(data.read_bytes()).hexdigest(),
             **provenance,
         }
         known = {name: value for name, value in said.items() if hasattr(material, name)}

@@ -143,8 +143,7 @@ class Points(InSpace, Shown, Held):
             axis: of the material, as of Points.
         """
         check_dimensions("sides", len(sides))
-        sides = tuple(check_whole("sides", side, 1) for side in sides)
-        check_nodes("sides", sides)
+        check_nodes("sides", sides := whole_numbers("sides", sides))
         x, box = spacing * grid_places(sides), tuple(n * spacing for n in sides)
         return cls(x, np.ones(len(x), bool), spacing, box, None, units, axis)
 
@@ -263,7 +262,7 @@ def checked_axis(axis: Any, dimension: int) -> Any:
 def refuse_twice(x: ndarray) -> None:
     """Raise InputError for coincident nodes (to 1e-9 of the mean distance), by one sort of x."""
     n, d = x.shape
-    near = TWICE * float(np.ptp(x, axis=0).max()) / n ** (1 / d)
+    near = TWICE * np.ptp(x, axis=0).max() / n ** (1 / d)
     along = x @ np.array([1.0, 0.6180339887, 0.4142135624])[:d]
     order = np.argsort(along, kind="stable")
     close = np.flatnonzero(np.diff(along[order]) <= 2 * near)
@@ -317,7 +316,7 @@ def straight_steps(x: ndarray, h: float, unit: str = "") -> Lattice:
     if len(far := np.flatnonzero(off > near)):
         raise InputError(
             f"points: expected a {SHAPES[d]} lattice of spacing {h}{unit}; off it: {listed(far)}, "
-            f"by up to {h * float(off.max()):.2g}{unit}, where {near * h:.1g}{unit} "
+            f"by up to {h * off.max():.2g}{unit}, where {near * h:.1g}{unit} "
             f"({near:.1g} spacings) are allowed: are positions rounded?"
         )
     grid = np.rint(place).astype(np.int32)
