@@ -96,7 +96,6 @@ class Parser(ArgumentParser):
     """Argument parser whose errors are an InputError."""
 
     def error(self, message: str) -> NoReturn:
-        """Raise an InputError in place of the parser's exit."""
         raise InputError(f"{message}; {self.prog} --help says what there is")
 
 

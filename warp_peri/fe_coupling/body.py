@@ -137,16 +137,9 @@ def solve_body(
     coupling: Coupling = UNTOLD,
     allow_uncertified: bool = False,
 ) -> BodySolution:
-    """Solve for a body's equilibrium, its outline held in part, pulled in part, else free (B1–B7).
-
-    Args:
-        model: a peridynamic solid, certified on some lattice and transferred to that of the bulk,
-            in the plane; or a crystal, on its own lattice, its axes those of the mesh.
-        mesh, displacement, traction, b, coupling: as of problems.Body.
-        allow_uncertified: the model's own parameters on a lattice that nothing is proven of.
-
-    Warns of strains far beyond the training data. Raises InputError as problems.Body.
-    """
+    """Solve a problems.Body, with its errors (B1–B7): of a peridynamic solid in the plane, which is
+    certified on some lattice and transferred to that of the bulk unless its own parameters are
+    allowed there, or of a crystal on its own. Warns of strains far beyond the training data."""
     loads = loads_on(mesh, displacement, traction, b)
     model, stiff, spacing, tried = _on_lattice(model, mesh, loads.b, coupling, allow_uncertified)
     reach, overlap = collar_and_overlap(model, model.horizon, coupling)

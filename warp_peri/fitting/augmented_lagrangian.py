@@ -46,8 +46,9 @@ def adam(
     *,
     framed: bool = False,
 ) -> tuple[list[float], list[float]]:
-    """Minimise by Adam; returns the objective and the loss by epoch. `framed`, the rate follows the
-    first gradient and falls as a cosine; else it is constant, and stagnation ends the run."""
+    """Minimise an objective, which tells the loss beside it, by Adam; returns both by epoch.
+    `framed`, the rate follows the first gradient and falls as a cosine; else it is constant, and
+    stagnation ends the run."""
     how: Any = {"lr": LEARNING_RATE}
     if framed:
         first, loss = objective()

@@ -128,14 +128,7 @@ def without_rigid_part(x: ndarray, u: ndarray) -> ndarray:
 
 @dataclass(frozen=True)
 class Run:
-    """Results of a training run.
-
-    Attributes:
-        fit: the material, its certificate and the way to them.
-        tables: of `evaluate`, by the name of the set.
-        refused: why a set was not evaluated, by its name.
-        seconds: of learning and of prediction.
-    """
+    """A fit, tables of `evaluate` and why it refused a set, by the set's name, and seconds."""
 
     fit: Any
     tables: dict[str, Values]
@@ -147,7 +140,7 @@ class Run:
         return {name: table[error] for name, table in self.tables.items()}
 
     def save(self, folder: Path, metrics: Values, *, data: Path, provenance: Values) -> Any:
-        """Write model.json, with its errors, the hash of its data file and more provenance, and
+        """Write model.json, with its errors, the name of its data file and provenance, and
         metrics.json into a folder, made if missing; OSError where a file cannot be written."""
         material = self.fit.material
         said = {"errors": {key: metrics[key] for key in ERRORS if key in metrics}}

@@ -152,11 +152,8 @@ class Placed(OperatorBase):
         return evaluate(self.model, samples)
 
     def solve(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
-        """Solve for equilibrium with b on the interior, u given on the collar, [N, 2] or [S, N, 2].
-
-        The solution's details are a NonlinearRecord for each sample. Raises InputError for arrays
-        that do not fit, and for a sample without an equilibrium.
-        """
+        """Solve with b on the interior, u given on the collar; details are a NonlinearRecord for
+        each sample. InputError for arrays that do not fit, and a sample without an equilibrium."""
         exact = self  # single precision may not reach the tolerance
         if self.dtype != torch.float64:
             exact = copy.deepcopy(self.material).double().on(self.points)

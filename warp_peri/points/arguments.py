@@ -68,15 +68,10 @@ def checked(
 ) -> ndarray:
     """Check a user's value; returns an array of float64, bool, or whole numbers, nothing missing.
 
-    Args:
-        name: of it in messages.
-        value: what a user gave.
-        kind: float, bool or int.
-        shape: that it must have; names stand for any length, a first … for any axes before.
-        read: which entries count, of a shape that broadcasts; what others hold is not looked at.
-
-    Raises InputError for complex numbers, text and objects, for masked entries, for numbers that
-    are not finite or beyond LARGEST, and for another shape.
+    Names in `shape` stand for any length, a first … for any axes before. What entries hold that are
+    not to be `read`, a mask that broadcasts, is not looked at. Raises InputError for complex
+    numbers, text and objects, for masked entries, for numbers that are not finite or beyond
+    LARGEST, and for another shape.
     """
     masked = as_array(name, value)  # that of a list of masked arrays too
     value = np.asarray(masked.data)
