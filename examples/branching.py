@@ -9,8 +9,9 @@ Under mpiexec the plate is spread over processes, with the same bits.
 
 import json
 import sys
+from os.path import realpath
 
-sys.path.insert(0, __file__.rpartition("examples")[0])
+sys.path.insert(0, realpath(__file__).rpartition("examples")[0])
 
 import numpy as np
 

@@ -10,8 +10,9 @@ to μ at every node costs one solve more for each field. Displacement alone does
 import json
 import sys
 from collections.abc import Callable
+from os.path import realpath
 
-sys.path.insert(0, __file__.rpartition("examples")[0])
+sys.path.insert(0, realpath(__file__).rpartition("examples")[0])
 
 import numpy as np
 import torch

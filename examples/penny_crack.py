@@ -2,8 +2,9 @@
 
 import json
 import sys
+from os.path import realpath
 
-sys.path.insert(0, __file__.rpartition("examples")[0])
+sys.path.insert(0, realpath(__file__).rpartition("examples")[0])
 
 import numpy as np
 

@@ -5,9 +5,10 @@ The load is minus the force that the missing bonds would carry.
 
 import json
 import sys
+from os.path import realpath
 from typing import Annotated
 
-sys.path.insert(0, __file__.rpartition("examples")[0])
+sys.path.insert(0, realpath(__file__).rpartition("examples")[0])
 
 import numpy as np
 

@@ -2,10 +2,11 @@
 
 import json
 import sys
+from os.path import realpath
 
 import numpy as np
 
-sys.path.insert(0, __file__.rpartition("examples")[0])
+sys.path.insert(0, realpath(__file__).rpartition("examples")[0])
 import warp_peri
 from examples.figures import RUNS, begin, panels, save_figure
 from warp_peri.crystals import crystal_from_lps

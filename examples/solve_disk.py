@@ -3,11 +3,12 @@
 import dataclasses
 import json
 import sys
+from os.path import realpath
 
 import matplotlib.pyplot as plt
 import numpy as np
 
-sys.path.insert(0, __file__.rpartition("examples")[0])
+sys.path.insert(0, realpath(__file__).rpartition("examples")[0])
 import warp_peri
 from examples.figures import RUNS, begin, save_figure
 

@@ -7,8 +7,9 @@ at three spacings. `edge_crack` has a crack that runs in from the edge of a stri
 """
 
 import sys
+from os.path import realpath
 
-sys.path.insert(0, __file__.rpartition("examples")[0])
+sys.path.insert(0, realpath(__file__).rpartition("examples")[0])
 
 import numpy as np
 

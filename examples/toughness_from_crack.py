@@ -7,9 +7,10 @@ force is differentiable through all that breaks: torch through `simulate`. Draws
 import json
 import sys
 import time
+from os.path import realpath
 from typing import Any
 
-sys.path.insert(0, __file__.rpartition("examples")[0])
+sys.path.insert(0, realpath(__file__).rpartition("examples")[0])
 
 import numpy as np
 import torch

@@ -9,9 +9,10 @@ data.
 import json
 import sys
 from collections.abc import Callable
+from os.path import realpath
 from typing import Any
 
-sys.path.insert(0, __file__.rpartition("examples")[0])
+sys.path.insert(0, realpath(__file__).rpartition("examples")[0])
 
 import numpy as np
 import torch

@@ -108,7 +108,8 @@ def in_parallel(
     if jobs == 0 or jobs < -1:
         raise InputError(f"jobs: expected a number of processes ≥ 1, or −1, got {jobs}")
     kind = "generator" if ordered else "generator_unordered"
-    parallel = joblib.Parallel(n_jobs=jobs, return_as=kind, batch_size=1)
+    todo = [joblib.delayed(work)(*task) for task in tasks]
+    parallel = joblib.Parallel(n_jobs=min(jobs, len(todo) or 1), return_as=kind, batch_size=1)
     with patch.dict(os.environ, dict.fromkeys(THREADS, "1")):  # what processes started here read
-        results = parallel(joblib.delayed(work)(*task) for task in tasks)
+        results = parallel(todo)
     return results

@@ -44,6 +44,7 @@ from tools.thermal import (
     run_file,
 )
 from warp_peri import Dataset, InputError, Samples
+from warp_peri.cli.main import hash_of
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
 from warp_peri.points.arguments import Count, Natural, Positive
@@ -127,7 +128,7 @@ def settings(
         None
         if plans is None
         else [
-            f"{Path(body.potential).name} {body.bond:.9g} {body.cells} {body.radius} {told}"
+            f"{hash_of(Path(body.potential))} {body.bond:.9g} {body.cells} {body.radius} {told}"
             for body, *told in (vars(plan).values() for plan in plans)
         ]
     )

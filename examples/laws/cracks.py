@@ -1,11 +1,12 @@
 """A notched glass plate pulled apart: bonds break, a crack runs, a ledger keeps the energy."""
 
 import sys
+from os.path import realpath
 
 import matplotlib.pyplot as plt
 import numpy as np
 
-sys.path.insert(0, __file__.rpartition("examples")[0])
+sys.path.insert(0, realpath(__file__).rpartition("examples")[0])
 import warp_peri as wp
 from examples.figures import begin, save_figure
 

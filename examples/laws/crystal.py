@@ -1,8 +1,9 @@
 """Graphene as a crystal of any symmetry: a tensor for each bond, and one least squares."""
 
 import sys
+from os.path import realpath
 
-sys.path.insert(0, __file__.rpartition("examples")[0])
+sys.path.insert(0, realpath(__file__).rpartition("examples")[0])
 import warp_peri as wp
 from examples.figures import begin, save_figure
 

@@ -1,10 +1,11 @@
 """Heat through a plate with a round grain that conducts ten times better."""
 
 import sys
+from os.path import realpath
 
 import numpy as np
 
-sys.path.insert(0, __file__.rpartition("examples")[0])
+sys.path.insert(0, realpath(__file__).rpartition("examples")[0])
 import warp_peri as wp
 from examples.figures import begin, save_figure
 

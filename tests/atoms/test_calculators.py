@@ -57,8 +57,9 @@ def test_types_by_number_are_elements_by_their_masses_and_charges_have_madelungs
 def test_the_environment_names_no_potential(tmp_path, monkeypatch):
     (tmp_path / "Mine.sw").write_text("of another")
     monkeypatch.setenv("LAMMPS_POTENTIALS", f"/none:{tmp_path}")
-    with refused(f"no file Mine.sw; if {tmp_path}/Mine.sw is meant, name that"):
-        lammps_calculator("sw; pair_coeff * * Mine.sw Si", ["Si"])
+    for name in "Mine.sw", "'Mine.sw'":
+        with refused(f"no file Mine.sw; if {tmp_path}/Mine.sw is meant, name that"):
+            lammps_calculator(f"sw; pair_coeff * * {name} Si", ["Si"])
 
 
 def test_elements_of_a_typed_pair_coeff_are_its_types():

@@ -11,7 +11,7 @@ from examples.diffusion import coupled, jump, smooth
 from tests.support import approx, in_plane_and_space, near, parametrize, sup
 from tests.support.clouds import cloud, larger, plain
 from tests.support.problems import cut, fitted_order, kernel, normal, within
-from tests.support.told import assert_refused, refused
+from tests.support.told import assert_refused, refused, warned
 from warp_peri import Dirichlet, Points, simulate, solve
 from warp_peri.diffusion import DiffusionMaterial, DiffusionOperator, ThermoelasticMaterial
 from warp_peri.points.arguments import USUAL
@@ -97,6 +97,8 @@ def test_steps_of_a_coupled_solid_come_to_its_steady_state():
     found = solve(solid, problem)
     near(found.operator(found.u), found.load, 1e-9, 1)
     near(simulate(solid, problem, step=50.0, steps=8).u, found.u, 1e-6, 1)
+    with warned("storage: none is stated"):
+        simulate(replace(solid, storage=0.0), problem, step=50.0, steps=1)
 
 
 @parametrize("coupling", [0.0, 1e-12, 1e-4, 1e6])

@@ -86,7 +86,12 @@ def test_an_outline_has_its_parts_curves_holes_and_distances():
     assert (mesh.holding(array([[3.0, 1], [21, 0]])) == -1).all()
     corners = ((0, 0), (10, 0), (10, 4), (4, 4), (4, 10), (0, 10))
     matrix = array(corners[::-1]).view(np.matrix)
-    for given in (corners[::-1], matrix, torch.tensor(matrix), (*corners, (1e-12, -1e-12))):
+    for given in (
+        array(corners[::-1], "u1"),
+        matrix,
+        torch.tensor(matrix),
+        (*corners, (1e-12, -1e-12)),
+    ):
         assert size(mesh_outline(Polygon(given), size=2)) == approx(64)
     hole = Polygon(((0, 0), (3, 0), (0, 3)), ("cut",))
     assert set(mesh_outline(Circle(10, name="edge"), [hole], size=1).parts) == {"edge", "cut"}

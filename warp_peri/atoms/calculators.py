@@ -127,7 +127,8 @@ def _check_line(line: str) -> None:
         raise InputError(
             f"calculator: expected {', '.join(sorted(LINES))} or fix … qeq/…, got {line!r:.200}"
         )
-    coded = CODE & {word.strip("\"'") for word in words}
+    bare = [word.strip("\"'") for word in words]
+    coded = CODE & {*bare}
     nested = {"'", '"'} <= {*line} or '""' in line  # LAMMPS gives packed files to a shell
     if coded or nested or not _is_plain(line, "$&`|<>"):
         none = (
@@ -138,7 +139,7 @@ def _check_line(line: str) -> None:
     if words[0] == "pair_style" and (words[1:] or [""])[0] not in _pair_styles():
         raise InputError(f"calculator: LAMMPS has no such pair style, got {line!r:.200}")
     for folder in filter(None, os.environ.get("LAMMPS_POTENTIALS", "").split(os.pathsep)):
-        for word in words:  # where LAMMPS looks for a file that is not there
+        for word in bare:  # where LAMMPS looks for a file that is not there
             if os.path.isfile(path := Path(folder) / Path(word).name) and not os.path.exists(word):
                 raise InputError(f"calculator: no file {word}; if {path} is meant, name that")
 

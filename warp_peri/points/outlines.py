@@ -68,7 +68,8 @@ class Polygon:
     def __post_init__(self) -> None:
         x = checked("corners", self.corners, float, ("n", 2))
         if len(x) > 3 and np.abs(x[-1] - x[0]).max() <= ROUND * np.ptp(x, axis=0).max():  # a ring
-            hold(self, corners=self.corners[:-1])
+            x = x[:-1]
+        hold(self, corners=tuple(map(tuple, x.tolist())))
         count = len(self.corners)
         if count < 3:
             raise InputError(f"corners: expected three at least, got {count}")
@@ -77,7 +78,7 @@ class Polygon:
             raise InputError(f"names: expected {count} texts, one a side, got {self.names}")
         if not abs(self.area) > ROUND * np.ptp(self.corners, axis=0).max() ** 2:
             raise InputError(f"corners: expected corners around an area, got {self.area:g}")
-        if (meet := _meeting(x[:count])).size:
+        if (meet := _meeting(x)).size:
             raise InputError(f"corners: expected sides apart, {meet[0]} and {meet[1]} meet")
 
     @property

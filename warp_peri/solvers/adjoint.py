@@ -33,7 +33,7 @@ import torch
 from numpy import ndarray
 
 from warp_peri.core.torch_bridge import as_tensor, by_numbers, once, real, with_numbers
-from warp_peri.errors import InputError, Values, called
+from warp_peri.errors import InputError, Values, called, warn
 from warp_peri.points import arguments
 from warp_peri.points.arguments import (
     Natural,
@@ -193,6 +193,8 @@ def stepped(
     solve that loses its digits, and a second derivative.
     """
     operator, numbers = with_numbers(operator, parameters or {})
+    if getattr(operator.model, "storage", 1.0) == 0:
+        warn("storage: none is stated, so that φ is at each time what it is at rest")
     arguments.check_nodes("steps", (steps, len(operator.points.x)))
     times, tensors = step * np.arange(steps + 1), [u, *(parameters or {}).values()]
     start = real("u", u)

@@ -134,7 +134,7 @@ class TimeSeriesWriter:
         text = "another's" * any(pvd.parent.glob("record_*.vtu"))
         text = self.nodes.comm.bcast(pvd.read_text(errors="replace") if pvd.is_file() else text)
         known = re.match(re.escape(PVD) + r"<!-- (\d{1,16}) (\w+) -->\n", text)
-        self.last = int(known[1]) if known else -1
+        self.last, self.kept = int(known[1]) if known else -1, _stamp(pvd)
         with agreed(self.nodes.comm):
             if text and not (known and goes_on and known[2] == mark(self.last)):
                 raise InputError(
@@ -168,8 +168,7 @@ class TimeSeriesWriter:
                 pvd, x, name = self.path, whole.pop(""), f"record_{step:08d}.vtu"
                 if not pvd.exists():  # or a record of a job that is killed here is nobody's
                     write_text(pvd, f"{head}\n{END}")
-                    self.last = step
-                elif not pvd.read_text().startswith(f"{PVD}<!-- {self.last} "):
+                elif self.kept != _stamp(pvd):
                     raise InputError(f"{pvd}: another writer writes here")
                 write_vtu(pvd.parent / name, x, ("vertex", np.arange(len(x))[:, None]), whole)
                 before = re.finditer(RECORD, pvd.read_text())
@@ -179,7 +178,12 @@ class TimeSeriesWriter:
                 ]  # fmt: skip
                 line = f'<DataSet timestep="{float(time)!r}" file="{name}"/>'
                 write_text(pvd, "\n".join([head, *lines, line, END]))
-                self.last = step
+                self.last, self.kept = step, _stamp(pvd)
+
+
+def _stamp(path: Path) -> Any:
+    """By which a file that another program writes again is known, or False of no file."""
+    return path.exists() and (path.stat().st_ino, path.stat().st_mtime_ns)
 
 
 class Recorder:
