@@ -370,7 +370,7 @@ def _slope(y: ndarray, e: ndarray, secant: bool) -> tuple[ndarray, float, float]
     free = flat.shape[1] * max(len(e) - X.shape[1], 1)
     left = norm(flat - X @ P @ flat) / np.sqrt(free)
     gain = float(norm(P[0]))
-    return (P[0] @ flat).reshape(y.shape[1:]), float(left) * gain, gain
+    return (P[0] @ flat).reshape(y.shape[1:]), left * gain, gain
 
 
 def joined(
@@ -388,7 +388,7 @@ def joined(
 
     def compared() -> tuple[ndarray, float]:
         J = onto @ atoms.elastic_doubt(allowed).reshape(-1, onto.shape[1]).T
-        return J, float(off @ pinv(J @ J.T + own @ own.T) @ off) / len(allowed)
+        return J, off @ pinv(J @ J.T + own @ own.T) @ off / len(allowed)
 
     J, chi = compared()
     wider = chi

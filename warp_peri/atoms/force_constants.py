@@ -202,8 +202,7 @@ class ForceConstants:
         if m > d:
             D[:, :, 2, :, 2] += HELD * np.abs(self.values).max()
         flat = D.reshape(len(k), n * m, n * m)
-        hermitian: ndarray = (flat + flat.conj().mT) / 2
-        return hermitian
+        return np.asarray((flat + flat.conj().mT) / 2)
 
     def stiffness_error(self, k: ndarray, waves: ndarray) -> Any:
         """Standard errors [eV/Å²] of the stiffness of waves [..., n, m] at k [1/Å], or 0."""
@@ -396,7 +395,7 @@ class Supercell:
             if thickness is not None:
                 raise InputError("BORN: expected a solid; the field of a sheet's ions is another")
             most = eigvalsh(polar.dielectric)[-1] ** 0.5
-            decay = polar.decay or float(2 * DECAYED * most / norms(box).min())
+            decay = polar.decay or 2 * DECAYED * most / norms(box).min()
             polar = replace(polar, decay=decay)
         fraction = self.apart @ inv(box)
         shifts = grid_places((3, 3, 3)) - 1

@@ -146,7 +146,7 @@ def check_phonons(atoms: ForceConstants) -> None:
     k, size, waves = _phonons(atoms, parts)
     worst = size[:, 0].argmin()
     least, top = size[worst, 0], size[:, -2 if d == 2 else -1].max()  # a sheet's last is held
-    error = float(atoms.stiffness_error(k[worst], waves[worst, 0]))
+    error = atoms.stiffness_error(k[worst], waves[worst, 0])
     if least >= -max(SOFT * top, TIMES * error):
         if eigvalsh(atoms.dynamical(k))[:, 0].max() <= SOFT * np.abs(atoms.values).max():
             raise InputError(LOOSE)
@@ -176,7 +176,7 @@ def at_zone_edge(atoms: ForceConstants) -> tuple[float, float, float]:
     off = np.array([atoms.stiffness_error(*pair) for pair in zip(k, waves)])
     low, middle, high = (THZ * np.sqrt(np.clip(size + way * off, 0, None)) for way in (-1, 0, 1))
     soft, error = middle.argmin(), (high - low) / 2
-    return float(middle.flat[soft]), float(error.flat[soft]), float(error.max())
+    return middle.flat[soft], error.flat[soft], error.max()
 
 
 def finite_differences(
@@ -196,8 +196,8 @@ def finite_differences(
                 moved[i, axis] += sign * length
                 slope += sign * forces(moved) / (2 * length)
         phi[row, :, axis] = -(WIDER**2 * near - wide) / (WIDER**2 - 1)
-        change = max(change, float(np.abs(near - wide).max()))
-    return phi, change / max(float(np.abs(phi).max()), TINY)
+        change = max(change, np.abs(near - wide).max())
+    return phi, change / max(np.abs(phi).max(), TINY)
 
 
 @typed

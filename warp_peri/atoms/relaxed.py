@@ -148,7 +148,7 @@ def gap(atoms: ase.Atoms, axis: int) -> tuple[float, float]:
     part = np.sort(cell.scaled_positions(atoms.positions)[:, axis] % 1.0)
     apart = 1 / norm(inv(np.array(cell))[:, axis])
     steps = np.diff(part, prepend=part[-1] - 1)
-    return float(steps.max() * apart), float(part[steps.argmax()])
+    return steps.max() * apart, part[steps.argmax()]
 
 
 def crystal_of(atoms: ase.Atoms) -> Several:

@@ -238,7 +238,7 @@ def _wave_error(model: LPSMaterial, wave_number: float) -> float:
 def _depth_and_wave_number(mesh: Mesh, b: Field | None) -> tuple[ndarray, float]:
     """Distance of points of a body from its outline [Å], and √(Σ |∇b|² / Σ |b|²) of its load."""
     low, high = mesh.x.min(axis=0), mesh.x.max(axis=0)
-    step = float(np.sqrt(np.prod(high - low) / SAMPLES))
+    step = np.sqrt(np.prod(high - low) / SAMPLES)
     axes = [np.arange(start + step / 2, end, step) for start, end in zip(low, high)]
     x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     x = x[mesh.holding(x) >= 0]
@@ -247,7 +247,7 @@ def _depth_and_wave_number(mesh: Mesh, b: Field | None) -> tuple[ndarray, float]
         size = np.square(b(x)).sum()
         ways = step / 2 * np.eye(2)
         slope = sum(np.square((b(x + d) - b(x - d)) / step).sum() for d in ways)
-    return mesh.distance(x, step / 10), float(np.sqrt(slope / size)) if size else 0.0
+    return mesh.distance(x, step / 10), np.sqrt(slope / size) if size else 0.0
 
 
 MOST_EXCHANGES = 100

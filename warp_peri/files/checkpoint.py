@@ -106,8 +106,7 @@ def _mixed(x: ndarray) -> ndarray:
     x = x + np.uint64(0x9E3779B97F4A7C15)
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    mixed: ndarray = x ^ (x >> np.uint64(31))
-    return mixed
+    return np.asarray(x ^ (x >> np.uint64(31)))
 
 
 def fingerprint(*parts: Any, named: bool = False) -> str:

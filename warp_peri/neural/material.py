@@ -103,7 +103,7 @@ class NeuralOperator(Shown, torch.nn.Module):
                 )
             self.widths[name] = tuple(map(int, widths))
         self.horizon, self.strain, self.units = float(horizon), float(strain), check_units(units)
-        self.anisotropic, self.proportional = bool(anisotropic), bool(proportional)
+        self.anisotropic, self.proportional = anisotropic, proportional
         self.scale = 1.0
         self.provenance: Values = {}
         with torch.random.fork_rng(devices=[]):

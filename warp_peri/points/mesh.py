@@ -170,7 +170,7 @@ def make_mesh(
     lengths = [norm(x[t[:, a]] - x[t[:, b]], axis=1) for a, b in pairs]
     share = np.abs(size) / np.max(lengths, axis=0) ** d
     if not (share > FLAT).all():
-        raise InputError(f"{name}: number {int(np.argmin(share))} has no {measure}")
+        raise InputError(f"{name}: number {np.argmin(share)} has no {measure}")
     used, at = np.unique(t, return_inverse=True)
     new = np.full(len(x) + 1, -1)  # the last of what is no corner
     first, number = np.unique(_welded(x[used], SAME * np.min(lengths)), return_inverse=True)

@@ -249,7 +249,7 @@ def strain_weights(reach: float, order: int) -> ndarray:
     target = np.eye(len(powers))[:, :3]
     scale = (x**2 + y**2) ** -5.0
     scaled, *_ = lstsq(moments * scale, target, rcond=1e-10)
-    weights = np.asarray(scale[:, None] * scaled)
+    weights: ndarray = scale[:, None] * scaled
     if np.abs(moments @ weights - target).max() > 1e-8:
         raise InputError(f"reach: {reach} spacings carry no strain of order {order}")
     return weights
