@@ -172,8 +172,12 @@ def least_squares_above(A: ndarray, y: ndarray, G: ndarray, h: ndarray) -> ndarr
 
 @dataclass(frozen=True)
 class LatticeRows:
-    """Rows R [n, P + E] and y [n] of the loss ‖R p − y‖² of one lattice for the numbers p = C h²
-    [stress] on a basis, and extras; the group of its nodes says how much of the zone is looked at.
+    """Least-squares rows of one lattice for the numbers p = C h² [stress] on a basis, and extras.
+
+    Attributes:
+        R, y: of the loss ‖R p − y‖², shape [n, P + E] and [n].
+        bonds: the basis.
+        group: of the nodes, which says how much of the zone is looked at.
     """
 
     R: ndarray
@@ -216,9 +220,11 @@ class Numbers:
 
 @dataclass(frozen=True)
 class Settled:
-    """An optimum of the regression, θ and the numbers p on each block.
+    """An optimum of the regression.
 
     Attributes:
+        theta: θ.
+        p: on each block.
         loss: ‖R p − y‖ of all blocks, over the size.
         losses: its square after each round of cuts.
         margin: the smallest Λmin D/s less its level that was found over the zones, over the floor.
@@ -260,9 +266,15 @@ def fit(
     linear: bool = False,
     rounds: int = ROUNDS,
 ) -> Settled:
-    """Find the optimum reached from θ, its conditions kept over the whole zones, in `rounds` of
-    cuts at most. The sum of the losses of all lattices is minimised, over a size, ‖y‖ by default;
-    `law` says what θ stands for, `floor` ζ [stress] is the size of margins of forms."""
+    """Find the optimum reached from θ, its conditions kept over the whole zones.
+
+    Args:
+        blocks: of each lattice; the sum of their losses is minimised.
+        law: what θ stands for; `linear` where it is.
+        floor: ζ [stress], the size of margins of forms.
+        size: of the residual; ‖y‖ by default.
+        rounds: most rounds of cuts.
+    """
     problem = Regression(blocks, law, floor, size)
     losses, margin = [], -np.inf
     for _ in range(rounds):
@@ -413,9 +425,17 @@ def rows(
     extra: ndarray | None = None,
     least: int | None = None,
 ) -> Pair:
-    """Rows R [n, P + E] and y [n] for numbers p = C h² [stress] on a basis along lattice axes, with
-    a weight [S] of each sample. Extra columns are forces of other numbers that a law is linear in,
-    along the axes, [S, I, d, E]. InputError as of grid_of, and for samples without loads."""
+    """Rows R [n, P + E] and y [n] for numbers p = C h² [stress] on a basis, then of extra columns.
+
+    Args:
+        samples: displacements and loads on lattice nodes, along whose axes the basis is.
+        bonds: the family.
+        weight: of each sample, shape [S].
+        extra: forces of other numbers that a law is linear in, along the axes, [S, I, d, E].
+        least: as of grid_of.
+
+    Raises InputError as grid_of does, and for samples without loads.
+    """
     R, y = np.zeros((0, 0)), np.zeros(0)
     for some, F, b in swept(samples, bonds, extra, least):
         if weight is not None:
