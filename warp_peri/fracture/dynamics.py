@@ -240,7 +240,7 @@ class CrackRun(Recorder):
     Args:
         body: the body; on ranks that of the nodes here. Records are of the whole.
         step: Δt, at most the body's longest.
-        watch: functions of φ [N], the share of bonds that nodes have lost, recorded by name.
+        watch: functions of φ [N] alone, the share of bonds that nodes lost, recorded by name.
         nodes: which of the body's are this process's own, as AllNodes; all by default.
         files: the options of Recorder; `every` is 20 by default.
 
