@@ -16,13 +16,13 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 19_118,
-    "tokens": 234_395,
-    "lines of warp_peri": 30_919,
+    "code lines": 19_161,
+    "tokens": 234_956,
+    "lines of warp_peri": 30_994,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 43_107,
-    "lines of the longest file": 539,
+    "lines of warp_peri, kernels, examples and tools": 43_193,
+    "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
     "characters of the longest string": 1_621,
@@ -32,20 +32,20 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2422,
-    "cli": 828,
+    "atoms": 2426,
+    "cli": 829,
     "core": 1617,
-    "face": 1115,
+    "face": 1123,
     "fe_coupling": 675,
-    "files": 507,
-    "fitting": 1046,
-    "fracture": 1405,
-    "materials": 4588,
+    "files": 506,
+    "fitting": 1043,
+    "fracture": 1414,
+    "materials": 4610,
     "neural": 596,
-    "points": 1739,
-    "prediction": 613,
+    "points": 1744,
+    "prediction": 608,
     "mpi": 455,
-    "solvers": 1512,
+    "solvers": 1515,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

@@ -9,6 +9,7 @@ import functools
 import importlib
 import inspect
 import os
+import shlex
 import sys
 import typing
 from collections.abc import Iterator, Sequence
@@ -20,7 +21,7 @@ from unicodedata import category
 
 from ase.data import atomic_masses, atomic_numbers
 
-from warp_peri.errors import InputError, StrPath, Values
+from warp_peri.errors import InputError, StrPath, Values, called
 from warp_peri.points.arguments import as_array, checked, offered, typed, within
 from warp_peri.runtime import ranks_started
 
@@ -127,8 +128,7 @@ def _check_line(line: str) -> None:
         raise InputError(
             f"calculator: expected {', '.join(sorted(LINES))} or fix … qeq/…, got {line!r:.200}"
         )
-    bare = [word.strip("\"'") for word in words]
-    coded = CODE & {*bare}
+    coded = CODE & {word.strip("\"'") for word in words}
     nested = {"'", '"'} <= {*line} or '""' in line  # LAMMPS gives packed files to a shell
     if coded or nested or not _is_plain(line, "$&`|<>"):
         none = (
@@ -139,7 +139,7 @@ def _check_line(line: str) -> None:
     if words[0] == "pair_style" and (words[1:] or [""])[0] not in _pair_styles():
         raise InputError(f"calculator: LAMMPS has no such pair style, got {line!r:.200}")
     for folder in filter(None, os.environ.get("LAMMPS_POTENTIALS", "").split(os.pathsep)):
-        for word in bare:  # where LAMMPS looks for a file that is not there
+        for word in called("calculator", shlex.split, line):  # where LAMMPS looks for a file, too
             if os.path.isfile(path := Path(folder) / Path(word).name) and not os.path.exists(word):
                 raise InputError(f"calculator: no file {word}; if {path} is meant, name that")
 

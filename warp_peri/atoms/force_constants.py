@@ -115,7 +115,7 @@ class NonAnalyticCorrection:
 
     def at_long_waves(self, e: ndarray, cell: ndarray) -> ndarray:
         """Macroscopic field's part of D along unit vectors e [K, 3], shape [K, n, 3, n, 3]."""
-        e, cell = checked("e", e, shape=("K", 3)), checked("cell", cell, shape=(3, 3))
+        e = checked("e", e, shape=("K", 3))
         pull = np.einsum("kb,nba->kna", e, self.born)
         screened = np.einsum("ki,ij,kj->k", e, self.dielectric, e)
         factor = 4 * np.pi * COULOMB / abs(det(cell)) / screened

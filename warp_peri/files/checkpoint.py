@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import os
-import random
 import re
 import sys
 import sysconfig
@@ -47,7 +46,7 @@ QUIET = "_thread logging threading weakref"
 """Modules of locks, logs and caches, which decide no number."""
 UNORDERED = Mapping, set, frozenset
 _OWN = f"{sysconfig.get_path('stdlib')}/", f"{Path(__file__).parents[1]}/"
-OF_ALL = os.environ, random.random.__self__, np.random.mtrand._rand  # type: ignore[attr-defined]
+OF_ALL = os.environ, np.random.mtrand._rand
 """What all of a process share, and no function is meant to depend on."""
 HOMES = ("/site-packages/", "/dist-packages/", *_OWN)
 """Parts of paths of installed packages, of Python's own modules and of this library's."""
@@ -173,9 +172,9 @@ def _spelled(whole: Any, named: bool) -> tuple[bytes, list[Any]]:
         said = f"{home} {part.__name__}"
         if is_users(home):  # of one name as a script and as a module
             said = getattr(part, "__qualname__", "")
-            own = {n: v for n, v in vars(part).items() if n not in ASIDE}
-            told = {n for n, v in own.items() if n[:2] != "__" or isroutine(v) or callable(v)}
-            held = [{n: own[n] for n in told}, getattr(part, "__bases__", ())]
+            own = vars(part).items()
+            told = {n: v for n, v in own if n[:2] != "__" or isroutine(v) or callable(v)}
+            held = [{n: told[n] for n in told.keys() - ASIDE}, getattr(part, "__bases__", ())]
     elif named and not known:
         said = f"{home} {kind.__qualname__} {getattr(part, '__name__', '')}"
     elif derived(whole, "warp_peri") and hasattr(kind, "content"):
@@ -230,7 +229,7 @@ def _attributes(part: Any) -> Values:
     own, slots = state if isinstance(state, tuple) else (state, None)
     found, kind = {**(own or {}), **(slots or {})}, type(part)
     worked = {n for n in found if isinstance(getattr(kind, n, 0), cached_property)}
-    return {n: found[n] for n in found if n not in {*worked, *ASIDE}}
+    return {n: found[n] for n in found.keys() - worked - {*ASIDE}}
 
 
 def _read_by(function: FunctionType) -> Values:

@@ -91,7 +91,6 @@ class Diagnosis(Shown):
         )
 
     def rows(self) -> Rows:
-        """Table of the residual, its causes, and what to try."""
         shares = [(name, f"{100 * self.shares[name]:.0f} % of its square") for name in self.causes]
         rows = [("left", f"{100 * self.residual:.3g} % of the loads"), *shares]
         return [*rows, ("try next", self.advice)] if self.advice else rows

@@ -68,7 +68,8 @@ def evaluate(
 
     Samples whose interior carries no load, or one that is rounding, have no E_res, rigid motions no
     E_shape, those at rest no E_u: None, and the means are those of the others; None where there are
-    none. Raises InputError for a set without samples, or that the model cannot be used on.
+    none. Raises InputError for a set without samples, or that the model cannot be used on, or has
+    no force on.
 
     >>> wp.evaluate(model, samples)["E_u"] < 1e-9
     True
@@ -84,7 +85,7 @@ def evaluate(
         return operator.errors(samples)  # type: ignore[no-any-return]
     warn_of_unseen(samples)
     load = operator.rhs(samples.loads)
-    size, residual = norms(load), norms(operator(samples.u) - load)
+    size, residual = norms(load), norms(forces(operator, samples.u) - load)
     # the force of the interior's displacement alone, which that of the collar takes off again;
     # a load that is rounding beside it counts as none
     straight = getattr(operator, "straight", operator)
@@ -109,6 +110,14 @@ def _table(
     if home is not None:
         table["transferred_from"] = home
     return table
+
+
+def forces(operator: Any, u: ndarray) -> ndarray:
+    """Forces on the interior in fields u of samples, [S, I, d]; InputError for no numbers."""
+    found: ndarray = operator(u)
+    if not (known := np.isfinite(found).all((1, 2))).all():
+        raise InputError(f"samples: the force on sample {known.argmin()} is no number; see its u")
+    return found
 
 
 def errors_of(key: str, off: ArrayLike, whole: ArrayLike = 1.0) -> Values:

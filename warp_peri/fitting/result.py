@@ -74,7 +74,6 @@ class Fit(Shown):
     left: float = 0.0
 
     def rows(self) -> Rows:
-        """Name and value of each line of the fit's summary table."""
         rows: Rows = self.material.rows()
         for constants in self.moduli[:1]:
             held = "" if self.law.method.moduli is None else ", held"

@@ -204,7 +204,6 @@ class NeuralOperator(Shown, torch.nn.Module):
         return sum(part.numel() for part in self.parameters())
 
     def rows(self) -> Rows:
-        """Name and value of what its printed form shows."""
         length, stress = symbols(self.units)
         first = "ω(ξ)" if self.anisotropic else "ω(|ξ|)"
         widths = ", ".join(f"{name} {both}" for name, both in self.widths.items())

@@ -121,7 +121,6 @@ class Dataset(Shown):
         return {"format": "data", **sheet, "provenance": self.provenance, "sets": sets}
 
     def rows(self) -> Rows:
-        """Name and value of each line of the data set's summary table."""
         rows = [
             ("thickness", f"{self.thickness:g} {symbols(self.units)[0]}"),
             ("density", f"{self.density:g} kg/m³"),

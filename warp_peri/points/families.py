@@ -130,16 +130,8 @@ class Families:
 def bond_classes(
     spacing: float, horizon: float, *, degree: int = DEGREE, dimension: int = 2
 ) -> BondClasses:
-    """Bonds, orbits and weights of the full family on a square or cubic lattice; cached.
-
-    Args:
-        spacing: lattice spacing h [Å].
-        horizon: δ [Å], at least the spacing.
-        degree: of the quadrature.
-        dimension: 2 or 3.
-
-    Raises InputError for a horizon below one spacing or too large, and where no weights exist.
-    """
+    """Bonds, orbits and weights, of a degree, of the full family on a square or cubic lattice;
+    cached. InputError for a horizon below one spacing or too large, and where no weights exist."""
     most = LARGEST_REACH[dimension]
     if not 0 < spacing <= horizon < np.inf:
         raise InputError(f"horizon: expected at least one spacing ({spacing}), got {horizon}")
@@ -170,14 +162,8 @@ def families_of(
 ) -> Families:
     """Build families and quadrature weights of all nodes that a force on the interior needs.
 
-    Args:
-        points: a lattice (spacing > 0, maybe rotated) or scattered points (spacing 0), periodic or
-            not, with nodes outside the body or without.
-        horizon: δ [Å].
-        bond_based: force on the interior needs no dilatation, so a collar of δ is enough.
-        degree: of the quadrature.
-
-    Raises InputError for points given twice, isolated points, points off their lattice, a horizon
+    A `bond_based` force needs no dilatation, so that a collar of δ is enough. Raises
+    InputError for points given twice, isolated points, points off their lattice, a horizon
     below the spacing, a family without exact weights, and interior nodes that lack the collar;
     nodes are named by number.
     """
@@ -359,14 +345,9 @@ def quadrature_weights(xi: ArrayLike, horizon: float, *, degree: int = DEGREE) -
     """Minimum-norm weights W of a family with Σ_j W_j q(ξ_j) = ∫ q over the ball, [Å^d], [B].
 
     q = p / r³ with monomials p of 4 − d ≤ degree of p ≤ degree: those whose quotient is integrable
-    in d dimensions (Trask et al. 2019; You et al. 2021, section 3.2).
-
-    Args:
-        xi: bond vectors of the family [Å], shape [B, d], d = 2 or 3, none of them zero.
-        horizon: δ [Å].
-        degree: of the polynomials, at least 2.
-
-    Raises InputError when no weights meet the conditions (the family is too poor).
+    in d dimensions (Trask et al. 2019; You et al. 2021, section 3.2). Bond vectors xi [Å] are
+    [B, d], none of them zero. Raises InputError when no weights meet the conditions (the family is
+    too poor), and for a degree below 2.
     """
     xi = checked("xi", xi, float, ("B", "d"))
     weights, residual = family_weights(xi, horizon, degree=degree)

@@ -102,7 +102,6 @@ class Mesh(InSpace, Shown):
         return counts | {"box": box, "parts": {n: len(part) for n, part in self.parts.items()}}
 
     def rows(self) -> Rows:
-        """Name and value of each line of the mesh's summary table."""
         found = self.summary()
         box = ", ".join(f"{a:g} to {b:g}" for a, b in found.pop("box"))
         parts = ", ".join(f"{name} ({count})" for name, count in found.pop("parts").items())

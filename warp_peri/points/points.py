@@ -424,7 +424,7 @@ class Samples(Shown):
                 type(one) is str or (kind == "S" and one.isascii()) for one in found.flat
             ):
                 raise InputError(f"{name}: expected numbers or text, got {found.dtype}")
-            own[name] = list(value) if isinstance(value, list) else np.array(found.data)
+            own[name] = np.array(found.data)
         object.__setattr__(self, "arrays", own)
 
     def __len__(self) -> int:

@@ -168,6 +168,7 @@ class TimeSeriesWriter:
                 pvd, x, name = self.path, whole.pop(""), f"record_{step:08d}.vtu"
                 if not pvd.exists():  # or a record of a job that is killed here is nobody's
                     write_text(pvd, f"{head}\n{END}")
+                    self.kept = _stamp(pvd)
                 elif self.kept != _stamp(pvd):
                     raise InputError(f"{pvd}: another writer writes here")
                 write_vtu(pvd.parent / name, x, ("vertex", np.arange(len(x))[:, None]), whole)
@@ -183,7 +184,7 @@ class TimeSeriesWriter:
 
 def _stamp(path: Path) -> Any:
     """By which a file that another program writes again is known, or False of no file."""
-    return path.exists() and (path.stat().st_ino, path.stat().st_mtime_ns)
+    return path.exists() and path.stat().st_mtime_ns
 
 
 class Recorder:

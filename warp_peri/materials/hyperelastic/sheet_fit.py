@@ -259,6 +259,8 @@ class Search:
     def _rows(self, n: int, J: ndarray, gap: ndarray) -> ndarray:
         """Equations J dx + gap = 0 of a sample, in its error, as few as have the same squares."""
         weight = self.weight[n]
+        if not np.isfinite(J).all():
+            raise InputError(f"samples: sample {n} folds the sheet; is a point of it far off?")
         return np.column_stack(compressed(J * weight[:, None], gap * weight))
 
     def sheet(self, x: ndarray) -> tuple[HyperelasticMaterial, ThicknessField | None]:
