@@ -27,7 +27,7 @@ from examples.local_elasticity import errors_of_local
 from tools.options import JOBS, Folder, Options
 from warp_peri import Dataset, InputError, Samples
 from warp_peri.cli.commands import writing
-from warp_peri.cli.main import WRITTEN
+from warp_peri.cli.main import WRITTEN, hash_of
 from warp_peri.core.elastic import plane_isotropic
 from warp_peri.errors import exit_status
 from warp_peri.fitting.evaluate import train
@@ -120,7 +120,7 @@ def learn(given: argparse.Namespace, path: Path, begin: float, start: Callable[[
     numbers |= {"thickness": data.thickness, "density": data.density}
     numbers["seconds"] = seconds | {"all": time.perf_counter() - begin}
     said = {name: getattr(given, name) for name in ("method", "conditions")}
-    said["data_provenance"] = data.provenance
+    said |= {"sha256": hash_of(path), "data_provenance": data.provenance}
     trained.save(given.out, numbers, data=path, provenance=said)
     report.write_report(given.out / "report.md", numbers, models, path, given.line)
     print(f"graphene at {numbers['temperature']:g} K: {report.shown(given.out)}/model.json")

@@ -12,6 +12,7 @@ from tests.support.problems import kernel, lattice, manufactured, noise, periodi
 from tests.support.solving import solve
 from warp_peri import LPS, Bernstein, Samples, evaluate
 from warp_peri.core.stencil import Stencil
+from warp_peri.fitting.evaluate import residuals
 from warp_peri.materials.lps_fit import displacement_error
 from warp_peri.methods import BootstrapResult, bootstrap
 
@@ -145,3 +146,9 @@ def test_as_many_choices_as_asked_among_four_exact_loads_or_more_give_one_solid(
         bootstrap(samples[:3], Springs())
     with refused("bootstrap: expected options among noise, progress, got foo"):
         bootstrap(samples, LPS(2.0), foo=1)
+
+
+def test_a_sample_without_a_force_is_named():
+    with warned("force on sample 1 is no number"):
+        found = residuals(np.asarray, np.array([[[3.0]], [[np.nan]]]), np.ones((2, 1, 1)))
+    assert found[0] == 2

@@ -139,7 +139,7 @@ def _check_line(line: str) -> None:
     if words[0] == "pair_style" and (words[1:] or [""])[0] not in _pair_styles():
         raise InputError(f"calculator: LAMMPS has no such pair style, got {line!r:.200}")
     for folder in filter(None, os.environ.get("LAMMPS_POTENTIALS", "").split(os.pathsep)):
-        for word in called("calculator", shlex.split, line):  # where LAMMPS looks for a file, too
+        for word in called("calculator: expected words", shlex.split, line, True):  # as LAMMPS
             if os.path.isfile(path := Path(folder) / Path(word).name) and not os.path.exists(word):
                 raise InputError(f"calculator: no file {word}; if {path} is meant, name that")
 

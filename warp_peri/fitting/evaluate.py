@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 from tqdm import tqdm
 
-from warp_peri.errors import InputError, Values, quietly
+from warp_peri.errors import InputError, Values, quietly, warn
 from warp_peri.files.atomic import write_json
 from warp_peri.fitting.regression import norms, sizes
 from warp_peri.points.arguments import (
@@ -68,8 +68,7 @@ def evaluate(
 
     Samples whose interior carries no load, or one that is rounding, have no E_res, rigid motions no
     E_shape, those at rest no E_u: None, and the means are those of the others; None where there are
-    none. Raises InputError for a set without samples, or that the model cannot be used on, or has
-    no force on.
+    none. Raises InputError for a set without samples, or that the model cannot be used on.
 
     >>> wp.evaluate(model, samples)["E_u"] < 1e-9
     True
@@ -85,7 +84,7 @@ def evaluate(
         return operator.errors(samples)  # type: ignore[no-any-return]
     warn_of_unseen(samples)
     load = operator.rhs(samples.loads)
-    size, residual = norms(load), norms(forces(operator, samples.u) - load)
+    size, residual = norms(load), residuals(operator, samples.u, load)
     # the force of the interior's displacement alone, which that of the collar takes off again;
     # a load that is rounding beside it counts as none
     straight = getattr(operator, "straight", operator)
@@ -112,11 +111,11 @@ def _table(
     return table
 
 
-def forces(operator: Any, u: ndarray) -> ndarray:
-    """Forces on the interior in fields u of samples, [S, I, d]; InputError for no numbers."""
-    found: ndarray = operator(u)
-    if not (known := np.isfinite(found).all((1, 2))).all():
-        raise InputError(f"samples: the force on sample {known.argmin()} is no number; see its u")
+def residuals(operator: Any, u: ndarray, load: ndarray) -> ndarray:
+    """Norms of op(u) − load [S]; warns of a sample on which the force is no number."""
+    found = norms(operator(u) - load)
+    if (none := np.isnan(found)).any():
+        warn(f"samples: the force on sample {none.argmax()} is no number, and left out of E_res")
     return found
 
 

@@ -24,7 +24,6 @@ from warp_peri.core.record import FieldUnits, Length, Record, read_json
 from warp_peri.core.stencil import half_ball
 from warp_peri.core.torch_bridge import own_torch
 from warp_peri.errors import InputError, Rows, Values, called, hold
-from warp_peri.fitting.evaluate import forces
 from warp_peri.fitting.long_waves import TOLD
 from warp_peri.fitting.regression import norms
 from warp_peri.fitting.result import Fit
@@ -278,7 +277,8 @@ class Density:
         size = norms(right)[:, None, None]
         if not (size > 0).all():
             raise InputError(f"samples: expected some that are not zero, got {size.argmin()}")
-        force = forces(operator, given.u)
+        if not np.isfinite(force := operator(given.u)).all() and by_force:
+            raise InputError("parameters: expected a force on the samples at the start, got NaN")
 
         def felt(name: str) -> float:
             """Size of a number that changes the force by as much as that is."""

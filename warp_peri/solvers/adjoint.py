@@ -194,7 +194,7 @@ def stepped(
     """
     operator, numbers = with_numbers(operator, parameters or {})
     if getattr(operator.model, "storage", 1.0) == 0:
-        warn("storage: none is stated, so that φ is at each time what it is at rest")
+        warn("storage: none is stated, with which φ follows flow and coupling at once")
     arguments.check_nodes("steps", (steps, len(operator.points.x)))
     times, tensors = step * np.arange(steps + 1), [u, *(parameters or {}).values()]
     start = real("u", u)

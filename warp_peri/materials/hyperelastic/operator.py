@@ -21,7 +21,7 @@ from torch.autograd import grad
 from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.core.torch_bridge import FEW, Swept, own_torch
 from warp_peri.errors import InputError, Rows, Values, warn
-from warp_peri.fitting.evaluate import errors_of, forces
+from warp_peri.fitting.evaluate import errors_of, residuals
 from warp_peri.fitting.regression import norms
 from warp_peri.fitting.result import LOUD
 from warp_peri.materials.hyperelastic.energies import Energy, Hyperelastic, Strain
@@ -417,7 +417,7 @@ class HyperelasticSheetOperator(Swept):
         loads = (np.zeros_like(samples.u) if samples.b is None else samples.b)[:, self.interior]
         if samples.b is not None:
             warn_of_unseen(samples)
-            told = errors_of("E_res", norms(forces(self, samples.u) - loads), norms(loads))
+            told = errors_of("E_res", residuals(self, samples.u, loads), norms(loads))
         for u, b in zip(samples.u, loads):
             if near is not None:
                 # the fields that fit u on the collar best, and the lift of what they miss
