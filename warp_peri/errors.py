@@ -144,6 +144,25 @@ def called(what: str, given: Any, *of: Any, **named: Any) -> Any:
         raise InputError(f"{what}, got {e}") from e
 
 
+_sharing: list[Any] = []
+"""The communicator of mpi4py whose ranks share work, in `shared_by`."""
+
+
+@contextmanager
+def shared_by(comm: Any) -> Iterator[None]:
+    """Share the work of `in_blocks` inside among ranks, all of which must come here."""
+    _sharing.append(comm)
+    try:
+        yield
+    finally:
+        _sharing.pop()
+
+
+def sharing() -> Any:
+    """Communicator of the ranks that share work here; None of one process alone."""
+    return _sharing[-1] if _sharing else None
+
+
 def optional(module: str, without: str) -> Any:
     """Import a module of an extra; InputError, which says `without`, where it is not installed."""
     try:

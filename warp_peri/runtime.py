@@ -18,7 +18,7 @@ import numpy as np
 import warp as wp
 from numpy import ndarray
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, sharing
 
 DEVICE = "cpu"
 """Where arrays are made and kernels run."""
@@ -143,25 +143,6 @@ def ranks_started() -> int | None:
         if os.environ.get(name, "").isdigit():
             return int(os.environ[name])
     return None
-
-
-_sharing: list[Any] = []
-"""The communicator of mpi4py whose ranks share work, in `shared_by`."""
-
-
-@contextmanager
-def shared_by(comm: Any) -> Iterator[None]:
-    """Share the work of `in_blocks` inside among ranks, all of which must come here."""
-    _sharing.append(comm)
-    try:
-        yield
-    finally:
-        _sharing.pop()
-
-
-def sharing() -> Any:
-    """Communicator of the ranks that share work here; None of one process alone."""
-    return _sharing[-1] if _sharing else None
 
 
 def in_blocks(work: Callable[[ndarray], ndarray], rows: ndarray) -> ndarray:

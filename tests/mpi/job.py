@@ -183,6 +183,11 @@ def proved(law):
         return wp.certify(law, spacing=H)
 
 
+def longest(law):
+    with together():
+        return wp.certificates.critical_time_step(law, spacing=H, density=1.0)
+
+
 def at_the_door(sheet, files):
     """What is said where rank 1 was given something else than the others, by what it was."""
     one, (b, u) = int(world().rank == 1), fields(sheet.x)
@@ -192,7 +197,7 @@ def at_the_door(sheet, files):
     brittle = BrittleMaterial(solid(2), 2500.0, toughness=1.0)
     return {name: told_by(case) for name, case in {
         "points": lambda: wp.solve(solid(2), wp.Dirichlet(far[one], b, u)),
-        "proof": lambda: proved(law),
+        "proof": lambda: longest(law),
         "ramp": lambda: wp.simulate(
             brittle, wp.Cracked(sheet, b), ramp=lambda _: 1.0 + one, step=1e-3, steps=1
         ),

@@ -17,7 +17,7 @@ from tests.support import ROOT
 
 BUDGET = {
     "code lines": 19_169,
-    "tokens": 234_997,
+    "tokens": 234_999,
     "lines of warp_peri": 30_981,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,

@@ -28,11 +28,11 @@ from warp_peri.core.stencil import (
     zone_sample,
     zoomed,
 )
-from warp_peri.errors import InputError, Values
+from warp_peri.errors import InputError, Values, sharing
 from warp_peri.files.checkpoint import same
 from warp_peri.points.arguments import LINEAR, USUAL, Pair, Positive, Units, offered, symbols, typed
 from warp_peri.points.points import PointsLike, grid_points
-from warp_peri.runtime import in_blocks, sharing
+from warp_peri.runtime import in_blocks
 
 SAMPLE = {2: 240, 3: 24}
 """Intervals of the grid that the smallest ratio is sampled on, before zooming."""
@@ -277,8 +277,6 @@ def prove(
         shares: of the sampled minimum, the largest first.
     """
     start = time.perf_counter()
-    if comm := sharing():
-        same(comm, proof=(stencil, group, weight, shares))
     if weight is None:
         weight = laplacian_stencil(stencil.spacing, stencil.dimension, stencil.tensors.shape[1])
     stiff, weight = _lattice_units(stencil), _lattice_units(weight)
@@ -308,7 +306,10 @@ def prove(
 
 
 def _lattice_units(stencil: Stencil) -> Stencil:
-    """The stencil on nodes 1 apart: tensors in units of stress, those of a weight of none."""
+    """The stencil on nodes 1 apart: tensors in units of stress, those of a weight of none; of ranks
+    that share the cells, all have it, or InputError."""
+    if comm := sharing():
+        same(comm, proof=stencil)
     return Stencil(1.0, stencil.steps, stencil.tensors * stencil.spacing**2)
 
 
@@ -456,7 +457,7 @@ def _long_waves(stencil: Stencil, group: ndarray) -> tuple[float, int]:
 def largest(stencil: Stencil, group: ndarray, tolerance: float = UPPER_TOLERANCE) -> float:
     """Upper bound of Λmax D(k) over all k [stress/length²], proven cell by cell (theory, T21),
     within the relative `tolerance` of a value that D takes, or as far as MOST_CELLS lead."""
-    d, work, taken = stencil.dimension, 0, 0.0
+    d, work, taken = _lattice_units(stencil).dimension, 0, 0.0  # of all ranks
     rest = _most(stencil, np.sum(parts(stencil.tensors), axis=0))
     slack, corners = _slack(stencil, group), _corners(d)
     cells, half = _first_cells(np.pi, d)

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, TypeAlias, get
 import numpy as np
 from numpy import ndarray
 
-from warp_peri.errors import Held, InputError, Rows, Shown, StrPath, Values, hold, warn
+from warp_peri.errors import Held, InputError, Rows, Shown, StrPath, Values, hold, sharing, warn
 from warp_peri.files import atomic
 from warp_peri.files.atomic import parsed, plain, write_json
 from warp_peri.files.checkpoint import fingerprint
@@ -211,7 +211,7 @@ class Record(Shown, Held):
         """Prove again what the material says is proven of it, once in a process; InputError for
         what is not proven of its numbers, as after `dataclasses.replace` of some."""
         key = self.content()["sha256"], fingerprint(type(self), self.unfiled)
-        if key not in PROVEN:
+        if key not in PROVEN or sharing():  # or ranks wait for this one
             self.verify_certificates()
             PROVEN.add(key)
 
@@ -315,7 +315,7 @@ def made_once(make: Callable[..., Any], material: Any, *asked: Any) -> Any:
     """What a function makes of a material, slowly, once of the same: of its class, with the code,
     of its fields and of its file. Each gets a copy, so that nobody changes another's."""
     of = type(material), vars(material), material.content()["sha256"]
-    if (key := fingerprint(make.__qualname__, of, asked)) not in MADE:
+    if (key := fingerprint(make.__qualname__, of, asked)) not in MADE or sharing():
         MADE[key] = make(material, *asked)
     return deepcopy(MADE[key])
 

@@ -114,7 +114,8 @@ class BondLaw:
 
     def spent(self) -> float:
         """Energy that breaks a bond, over k r²; s₀²/2 without softness and tail (C18). Of a bond
-        that never fails the energy to pull it to any length: 1/β², or inf."""
+        that never fails the energy to pull it to any length: 1/β², or inf. Too much of one
+        that softens to below its tail's line, where βs₀ > 1 and the tail is above s₀/(βs₀ − 1)."""
         b, s = self.softness, self.stretch
         if np.isinf(s):
             return 1 / b**2 if b else np.inf

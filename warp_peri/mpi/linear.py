@@ -11,7 +11,7 @@ from numpy import ndarray
 
 from warp_peri.core.elastic import q1_tensors
 from warp_peri.core.stencil import SCALARS, Grid, complete, refuse_cut
-from warp_peri.errors import InputError, agreed
+from warp_peri.errors import InputError, agreed, shared_by
 from warp_peri.kernels.micromodulus import rows as row_kernels
 from warp_peri.materials.crystal import StencilMaterial, crystal_from_lps
 from warp_peri.materials.lps import LPSMaterial
@@ -20,7 +20,6 @@ from warp_peri.mpi.processes import Comm, Slabs, build, halo, in_turn, inner
 from warp_peri.points.arguments import Options, Pair, check_arguments, check_same, offered, picked
 from warp_peri.points.points import Points, grid_places
 from warp_peri.protocols import OF_PROOFS
-from warp_peri.runtime import shared_by
 from warp_peri.solvers.linear import VCycle, coarser, largest, prolong, restrict
 from warp_peri.solvers.systems import SolveRecord, definite
 

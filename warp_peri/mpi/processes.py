@@ -19,9 +19,9 @@ import numpy as np
 from numpy import ndarray
 
 from warp_peri import errors
-from warp_peri.errors import InputError, Shape, Values, agreed
+from warp_peri.errors import InputError, Shape, Values, agreed, shared_by
 from warp_peri.points.arguments import ArrayMap
-from warp_peri.runtime import DEVICE, get_num_threads, ranks_started, set_num_threads, shared_by
+from warp_peri.runtime import DEVICE, get_num_threads, ranks_started, set_num_threads
 from warp_peri.solvers.systems import HERE, Inner
 
 Comm: TypeAlias = Any

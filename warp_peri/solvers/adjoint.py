@@ -193,7 +193,7 @@ def stepped(
     solve that loses its digits, and a second derivative.
     """
     operator, numbers = with_numbers(operator, parameters or {})
-    if getattr(operator.model, "storage", 1.0) == 0:
+    if not getattr(operator.model, "storage", 1.0):
         warn("storage: none is stated, with which φ follows flow and coupling at once")
     arguments.check_nodes("steps", (steps, len(operator.points.x)))
     times, tensors = step * np.arange(steps + 1), [u, *(parameters or {}).values()]

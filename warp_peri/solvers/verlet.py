@@ -13,14 +13,13 @@ from numpy import ndarray
 from numpy.typing import ArrayLike
 
 from warp_peri.core.proof import stencil_of
-from warp_peri.errors import Arrays, InputError, Values, agreed, quietly, warn
+from warp_peri.errors import Arrays, InputError, Values, agreed, quietly, shared_by, warn
 from warp_peri.files.checkpoint import AllNodes, fingerprint, is_users
 from warp_peri.points import arguments
 from warp_peri.points.arguments import USUAL, Count, Positive, Units, factors, offered, typed
 from warp_peri.points.arguments import checked as read
 from warp_peri.points.mesh import checked_numbers
 from warp_peri.points.points import check_lattice
-from warp_peri.runtime import shared_by
 from warp_peri.solvers.motion import Motion, Recorder
 
 if TYPE_CHECKING:
