@@ -138,8 +138,8 @@ def sweep(
         found = {file: _read(file, train.spacing, key) for file, (_, key) in files.items()}
         todo = [file for file in files if found[file] is None]
         work = (joblib.delayed(_fit)(*files[file], sets, noise, file) for file in todo)
-        most = min(jobs, len(todo) or 1)  # each starts at once, with work or without
-        failures = joblib.Parallel(n_jobs=most, return_as="generator_unordered")(work)
+        # each process starts at once, with work or without
+        failures = joblib.Parallel(min(jobs, len(todo) or 1), return_as="generator_unordered")(work)
         about = {"total": len(files), "initial": len(files) - len(todo), "unit": "fit"}
         for failure in sorted(filter(None, tqdm(failures, **about, disable=not progress))):
             warn(f"sweep: {failure}; the other fits go on")

@@ -148,7 +148,7 @@ def in_turn(comm: Comm, make: Callable[[], Any]) -> Any:
     """Call `make` on one rank, then on others, which find its files; an InputError is on all."""
     found = None
     for turn in comm.rank == 0, comm.rank != 0:
-        with agreed(comm):
+        with agreed(comm), shared_by(None):  # no other rank comes here
             if turn:
                 found = make()
     return found
