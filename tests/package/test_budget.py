@@ -16,12 +16,12 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 19_168,
-    "tokens": 234_999,
-    "lines of warp_peri": 30_981,
+    "code lines": 19_169,
+    "tokens": 234_997,
+    "lines of warp_peri": 30_982,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 43_180,
+    "lines of warp_peri, kernels, examples and tools": 43_181,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -37,9 +37,9 @@ ROOMS = {
     "core": 1617,
     "face": 1123,
     "fe_coupling": 675,
-    "files": 506,
+    "files": 505,
     "fitting": 1048,
-    "fracture": 1414,
+    "fracture": 1416,
     "materials": 4612,
     "neural": 596,
     "points": 1744,

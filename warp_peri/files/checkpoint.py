@@ -137,7 +137,6 @@ def _spelled(whole: Any, named: bool) -> tuple[bytes, list[Any]]:
     """Bytes that tell a value from others, and what it holds."""
     kind, said, data, held = cast(Any, type(whole)), "", b"", list[Any]()
     home, part = kind.__module__, _unwrapped(whole)
-    known = is_users(home) or derived(whole, *PLAIN.split())
     if isinstance(part, (int, np.integer, np.bool_)):
         said = repr(int(part))
     elif isinstance(part, (float, complex, np.inexact)):
@@ -175,7 +174,7 @@ def _spelled(whole: Any, named: bool) -> tuple[bytes, list[Any]]:
             own = vars(part).items()
             told = {n: v for n, v in own if n[:2] != "__" or isroutine(v) or callable(v)}
             held = [{n: told[n] for n in told.keys() - ASIDE}, getattr(part, "__bases__", ())]
-    elif named and not known:
+    elif named and not (is_users(home) or derived(whole, *PLAIN.split())):
         said = f"{home} {kind.__qualname__} {getattr(part, '__name__', '')}"
     elif derived(whole, "warp_peri") and hasattr(kind, "content"):
         held = [_lasting(part.content()), getattr(part, "unfiled", {})]
@@ -229,7 +228,7 @@ def _attributes(part: Any) -> Values:
     own, slots = state if isinstance(state, tuple) else (state, None)
     found, kind = {**(own or {}), **(slots or {})}, type(part)
     worked = {n for n in found if isinstance(getattr(kind, n, 0), cached_property)}
-    return {n: found[n] for n in found.keys() - worked - {*ASIDE}}
+    return {n: found[n] for n in found.keys() - ASIDE - worked}
 
 
 def _read_by(function: FunctionType) -> Values:

@@ -129,8 +129,8 @@ def errors_of(key: str, off: ArrayLike, whole: ArrayLike = 1.0) -> Values:
 
 def without_rigid_part(x: ndarray, u: ndarray) -> ndarray:
     """Fields u, [S, N, d], less the translation and small rotation nearest to them."""
-    left, T = (u - u.mean(axis=1, keepdims=True)).reshape(len(u), -1).T, turns_of(x)
-    T = T.reshape(x.size, -1)
+    left = (u - u.mean(axis=1, keepdims=True)).reshape(len(u), -1).T
+    T = turns_of(x).reshape(x.size, -1)
     return np.asarray((left - T @ lstsq(T, left)[0]).T.reshape(u.shape))
 
 

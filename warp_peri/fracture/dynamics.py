@@ -316,8 +316,10 @@ class CrackRun(Recorder):
         return state.time, found, {} if phi is None else {"damage": phi}
 
     def check_end(self, state: BreakingState, rows: Mapping[str, list[Any]]) -> None:
+        if not (self.watch and rows["time"]):
+            return
         found = self.record(state)[1]
-        for name in self.watch if rows["time"] else ():
+        for name in self.watch:
             each = plain(f"watch {name}", rows[name])
             again, last = found[name], each[-1]
             small = SAME * np.abs(each[np.isfinite(each)]).max(initial=0)
